@@ -9,7 +9,7 @@ over time, at an instant. The numbers of a row are loads; those of its entries a
 code.
 """
 
-
+from .element import DISSIPATED, WORK
 from .force_law import MOTION
 from .registry import effect_type
 from ..core.codegen.function_table import VALUE_COLUMNS
@@ -46,6 +46,15 @@ def act(table, forces):
             continue
         forces.turn_to(row, _held(forces, table, row.number) if row.law.follows_time else None)
         row.law.act(forces)
+
+
+def powers(table, rates):
+    """Return the power that effects dissipate, and that they bring in, of rates of states [W]."""
+    roles = {} if table is None else {
+        row.state + n: state.role for row in table.enabled_rows
+        for n, state in enumerate(table.elements[row.number].states)}
+    return tuple(sum((rate for state, rate in rates.items() if roles[state] == role), 0.0)
+                 for role in (DISSIPATED, WORK))
 
 
 def _held(forces, table, row):

@@ -58,7 +58,8 @@ class Cost:
     def read(self, source, name, constants):
         """Find the stack of public functions in a source; ``constants``: its numbers, by name."""
         sizes = {**_SIZES, 'double': self.size, 'four': 4 * self.size, 'eight': 8 * self.size,
-                 f'{name}_state': self.size * (constants['NQ'] + constants['NV'])}
+                 f'{name}_state': self.size * (constants['NQ'] + constants['NV']),
+                 f'{name}_cost': 7 * self.size}
         # A call of the best version is one of any.
         source = source.replace('BEST(', 'VERSION(').replace(', (', ')(')
         found = [one.groups() for one in _FUNCTION.finditer(source)]

@@ -26,9 +26,9 @@ from ..core.codegen.expression_graph import Q, QD
 from ..core.codegen.function_table import (
     BODY, CLOSURE, CORRECTIONS, CUT_POINT, ENERGY, GRAVITY, LAM, LANES, QDD, SHARED, TAU,
     VALUE_COLUMNS, VALUES)
-from ..core.codegen.scene_routines import PLACE, PLACE_RATE, POINT, SceneTrace
+from ..core.codegen.scene_routines import PLACE, PLACE_RATE, POINT, POWER, SceneTrace
 from ..core.types import CUT_NUMBER, CUT_ROW, ROWS
-from ..effects.traced_laws import act
+from ..effects.traced_laws import act, powers
 from ..engine import native
 
 # What the columns of the arrays hold: those of ``core.types`` and ``core.codegen.space``.
@@ -287,6 +287,9 @@ class _Text:
             'int energies_of', unrolled(lambda one: one.energies()),
             {Q: 'const double *q', QD: 'const double *qd', ENERGY: 'double *energies'})
         yield self._function(
+            'int powers_of', unrolled(self._store_powers),
+            {Q: 'const double *q', QD: 'const double *qd', POWER: 'double *powers'})
+        yield self._function(
             'int places_of', unrolled(lambda one: one.places(rows), without=PLACE_RATE),
             {Q: 'const double *q', PLACE: 'double *places'})
         yield self._function(
@@ -301,6 +304,10 @@ class _Text:
                     lambda one: one.joint_forces(*self.carried, *self.cuts), DerivativeTrace),
                 {Q: 'const double *q', QD: 'const double *qd', QDD: 'const double *qdd',
                  LAM: 'const double *lam', JOINT_FORCE: 'double *forces'})
+
+    def _store_powers(self, trace):
+        trace.outputs += [(POWER, place, power) for place, power in enumerate(
+            powers(self.system.effects, trace.moved().rates))]
 
     def _unrolled(self, what, kind=SceneTrace, without=None):
         """Return a routine of a new unrolling, but for an output that it has no use for."""

@@ -82,6 +82,22 @@ void @NAME@_move(double *q, const double *change);
 int @NAME@_step(
   const @NAME@_model *model, @NAME@_state *state, const double *tau, double step_size);
 
+/* What the size of a step costs, and the energy balance of the step. */
+typedef struct {
+  /* Largest difference of a joint coordinate [rad, m], of orientations by the turn between them,
+   * and of a rate [rad/s, m/s] to two steps of half the size. */
+  double position, velocity;
+  /* Kinetic energy after the step, change of that in gravity and springs, energy that effects
+   * dissipate, work of torques and external forces, and the error of the energy balance: changes
+   * of both energies and what is dissipated, less the work [J]. */
+  double kinetic, stored, dissipated, work, residual;
+} @NAME@_cost;
+
+/* A step as _step makes it, and what its size costs: takes the time of three steps. */
+int @NAME@_step_cost(
+  const @NAME@_model *model, @NAME@_state *state, const double *tau, double step_size,
+  @NAME@_cost *cost);
+
 /* Assembly from drives: close the loops around the independent coordinates and rates of a state,
  * which stay as they are (rotations of orientations: to first order), by Newton's method from
  * where the others are. Independent are, by their places in qd:
@@ -212,7 +228,7 @@ static double largest(const double *values, int count)
 static int close_loops(const @NAME@_model *model, double *q, double *qd)
 {
   enum { MOST = @MOST@ };
-  double change[2 * NV], closure[NC1];
+  double change[2 * NV], closure[NC1] = {0.0};
   normalise(q);
   int good = correction(model, q, qd, change, closure);
   double error = largest(closure, NC);
@@ -368,17 +384,30 @@ int @NAME@_assemble(const @NAME@_model *model, @NAME@_state *state)
   return close_around(model, @NAME@_independent, NI, state);
 }
 @CONTROL@
-/* What to step along: rates of coordinates, then accelerations. */
+/* What to step along: rates of coordinates, then accelerations. Where they are asked for, add to
+ * the energies exchanged what effects dissipate in a time, and the work of external forces and of
+ * torques on orientations. */
 static int slope_at(
-  const @NAME@_model *model, const double *state, const double *tau, double *slope)
+  const @NAME@_model *model, const double *state, const double *tau, double *slope, double time,
+  double *exchanged)
 {
   double lam[NC1];
   rates(state, state + NQ, slope);
+  if (exchanged) {
+    double powers[2];
+    powers_of(model, state, state + NQ, powers);
+    for (int i = 0; i < NV; ++i) {
+      powers[1] += is_number(i) ? 0.0 : tau[i] * state[NQ + i];
+    }
+    exchanged[0] += time * powers[0];
+    exchanged[1] += time * powers[1];
+  }
   return evaluation(model, state, state + NQ, tau, slope + NQ, lam);
 }
 
-int @NAME@_step(
-  const @NAME@_model *model, @NAME@_state *state, const double *tau, double step_size)
+static int advance(
+  const @NAME@_model *model, @NAME@_state *state, const double *tau, double step_size,
+  double *exchanged)
 {
   enum { STATES = NQ + NV };
   static const double share[3] = {0.5, 0.5, 1.0};
@@ -386,14 +415,14 @@ int @NAME@_step(
   double start[STATES], stage[STATES], slope[4][STATES];
   memcpy(start, state->q, sizeof state->q);
   memcpy(start + NQ, state->qd, sizeof state->qd);
-  if (!slope_at(model, start, tau, slope[0])) {
+  if (!slope_at(model, start, tau, slope[0], step_size * weight[0], exchanged)) {
     return @UPPER@_SINGULAR;
   }
   for (int k = 0; k < 3; ++k) {
     for (int i = 0; i < STATES; ++i) {
       stage[i] = start[i] + step_size * (share[k] * slope[k][i]);
     }
-    if (!slope_at(model, stage, tau, slope[k + 1])) {
+    if (!slope_at(model, stage, tau, slope[k + 1], step_size * weight[k + 1], exchanged)) {
       return @UPPER@_SINGULAR;
     }
   }
@@ -413,6 +442,47 @@ int @NAME@_step(
     memcpy(state->qd, stage + NQ, sizeof state->qd);
   }
   return status;
+}
+
+int @NAME@_step(
+  const @NAME@_model *model, @NAME@_state *state, const double *tau, double step_size)
+{
+  return advance(model, state, tau, step_size, 0);
+}
+
+int @NAME@_step_cost(
+  const @NAME@_model *model, @NAME@_state *state, const double *tau, double step_size,
+  @NAME@_cost *cost)
+{
+  @NAME@_state whole = *state, half = *state;
+  double change[NV], before[3], after[3], exchanged[2] = {0.0, 0.0};
+  int status = advance(model, &whole, tau, step_size, exchanged);
+  for (int n = 0; n < 2 && status == @UPPER@_OK; ++n) {
+    status = advance(model, &half, tau, 0.5 * step_size, 0);
+  }
+  if (status != @UPPER@_OK) {
+    return status;
+  }
+  /* Work of torques in coordinates that are numbers needs no integral. */
+  apart(whole.q, state->q, change);
+  for (int i = 0; i < NV; ++i) {
+    exchanged[1] += is_number(i) ? tau[i] * change[i] : 0.0;
+  }
+  energies_of(model, state->q, state->qd, before);
+  energies_of(model, whole.q, whole.qd, after);
+  apart(whole.q, half.q, change);
+  cost->position = largest(change, NV);
+  for (int i = 0; i < NV; ++i) {
+    change[i] = whole.qd[i] - half.qd[i];
+  }
+  cost->velocity = largest(change, NV);
+  cost->kinetic = after[0];
+  cost->stored = after[1] - before[1] + (after[2] - before[2]);
+  cost->dissipated = exchanged[0];
+  cost->work = exchanged[1];
+  cost->residual = after[0] - before[0] + cost->stored + cost->dissipated - cost->work;
+  *state = whole;
+  return @UPPER@_OK;
 }
 
 void @NAME@_energies(const @NAME@_model *model, const @NAME@_state *state, double energies[3])
@@ -914,6 +984,19 @@ static void move(double *q, const double *change)
     q[i] += change[i];
   }
 }
+
+static int is_number(int freedom)
+{
+  (void)freedom;
+  return 1;
+}
+
+static void apart(const double *q, const double *other, double *change)
+{
+  for (int i = 0; i < NV; ++i) {
+    change[i] = q[i] - other[i];
+  }
+}
 """
 
 # Of mechanisms with orientations.
@@ -976,5 +1059,31 @@ static void move(double *q, const double *change)
     r[3] = w * s - x * i - y * j - z * k;
   }
   normalise(q);
+}
+
+static int is_number(int freedom) {return place[freedom] >= 0;}
+
+/* Changes along the rates from other coordinates to some, of orientations by the shorter turn. */
+static void apart(const double *q, const double *other, double *change)
+{
+  for (int i = 0; i < NV; ++i) {
+    if (place[i] >= 0) {
+      change[i] = q[place[i]] - other[place[i]];
+    }
+  }
+  for (int n = 0; n < BALLS; ++n) {
+    const double *r = q + ball[n][0], *o = other + ball[n][0];
+    double *to = change + ball[n][1];
+    const double w = o[3] * r[3] + o[0] * r[0] + o[1] * r[1] + o[2] * r[2];
+    to[0] = o[3] * r[0] - o[0] * r[3] - o[1] * r[2] + o[2] * r[1];
+    to[1] = o[3] * r[1] - o[1] * r[3] - o[2] * r[0] + o[0] * r[2];
+    to[2] = o[3] * r[2] - o[2] * r[3] - o[0] * r[1] + o[1] * r[0];
+    const double sine = sqrt(to[0] * to[0] + to[1] * to[1] + to[2] * to[2]);
+    /* Of small turns the sine is half the angle. */
+    const double length = sine > 0.0 ? 2.0 * atan2(sine, fabs(w)) / sine : 2.0;
+    for (int k = 0; k < 3; ++k) {
+      to[k] *= w < 0.0 ? -length : length;
+    }
+  }
 }
 """

@@ -283,6 +283,17 @@ class _Unit:
         found.append(Variable(
             'step_size', 'parameter', 'fixed', 'exact', float(simulation.scene.method.step_size),
             's', 'longest step of the classical Runge-Kutta method in co-simulation'))
+        found.append(Variable(
+            'step_cost.energy_limit', 'parameter', 'fixed', 'exact', 0.0, description=(
+                'share of the energy exchanged that the balance may miss without a warning, in '
+                'co-simulation; 0: what steps cost is not measured')))
+        found += [Variable(f'step_cost.{what}', 'local', 'discrete', 'calculated', unit=unit,
+                           description=f'{meaning} since the start; 0 where it is not measured')
+                  for what, unit, meaning in (
+                      ('position', None, 'largest difference of a joint coordinate between a step '
+                       'and two of half its size [rad; m]'),
+                      ('velocity', None, 'the same of a rate [rad/s; m/s]'),
+                      ('residual', 'J', 'error of the energy balance'))]
         meaning = ', '.join(f'{n} {name}' for n, name in enumerate(names))
         found += [Variable(
             f'independent.freedom[{k + 1}]', 'local', 'discrete', 'calculated', whole=True,

@@ -25,6 +25,7 @@ COMMON = """\
 #include <stdbool.h>
 #include <stddef.h>
 #include <stdint.h>
+#include <stdio.h>
 #include <stdlib.h>
 
 /* The standard hands over more than this unit needs. */
@@ -48,7 +49,8 @@ enum {
   TIME, TAU, POSITION = TAU + INPUTS, RATE = POSITION + NQ, ACCELERATION = RATE + NV,
   MULTIPLIER = ACCELERATION + NV, PLACE = MULTIPLIER + NC, ENERGY = PLACE + SIZE * POINTS,
   STATE = ENERGY + 3, CHANGE = STATE + 2 * FREE, PARAMETER = CHANGE + 2 * FREE,
-  STEP_SIZE = PARAMETER + PARAMETERS, FREEDOM, END = FREEDOM + FREE
+  STEP_SIZE = PARAMETER + PARAMETERS, ENERGY_LIMIT, STEP_COST, FREEDOM = STEP_COST + 3,
+  END = FREEDOM + FREE
 };
 /* Statuses, of the same numbers in both versions. */
 enum { OK, WARNING, DISCARD, ERROR };
@@ -80,12 +82,19 @@ typedef struct {
   @NAME@_state state;
   double tau[NV], qdd[NV], lam[NC1], time, step_size;
   double parameter[PARAMETERS + 1];
+  /* Share of the energy exchanged that the balance may miss without a warning; at 0 nothing is
+   * measured. */
+  double energy_limit;
+  /* Since the start: largest differences of a step to two of half its size, and the error of the
+   * energy balance; stored and dissipated energy, and work; the most that was exchanged at the
+   * end of a communication step. */
+  double step_cost[3], stored, dissipated, work, exchanged;
   int choice[FREE + 1];
   /* Determinant of the dependent coordinates where they were chosen. */
   double chosen_at;
   /* Whether coordinates have been set, so that the loops are open; whether accelerations are
-   * those of the state; in which mode the unit is. */
-  int open, known, mode;
+   * those of the state; in which mode the unit is; whether it has warned of the energy balance. */
+  int open, known, mode, warned;
 } Values;
 
 typedef struct {
@@ -95,12 +104,17 @@ typedef struct {
   char name[256];
 } Instance;
 
-static void complain(const Instance *instance, const char *message);
+static void complain(const Instance *instance, int status, const char *message);
 
 static int failed(const Instance *instance, int status, const char *message)
 {
-  complain(instance, message);
+  complain(instance, status == WARNING ? WARNING : ERROR, message);
   return status;
+}
+
+static const char *category(int status)
+{
+  return status == WARNING ? "logStatusWarning" : "logStatusError";
 }
 
 static const char *reason(int status)
@@ -222,8 +236,8 @@ static Instance *instantiate(const char *name, const char *given, int exchange, 
   instance->logger = logger;
   instance->exchange = exchange;
   if (!given || strcmp(given, token) != 0 || (exchange && !EXCHANGE)) {
-    complain(instance, given && strcmp(given, token) == 0 ? "this unit has no model exchange" :
-             "the token is not that of this unit");
+    failed(instance, ERROR, given && strcmp(given, token) == 0 ?
+           "this unit has no model exchange" : "the token is not that of this unit");
     free(instance);
     return 0;
   }
@@ -268,6 +282,8 @@ static int set(Instance *instance, unsigned reference, double value)
     values->open |= before != 0;
   } else if (before && reference == STEP_SIZE && value > 0.0) {
     values->step_size = value;
+  } else if (before && reference == ENERGY_LIMIT && value >= 0.0) {
+    values->energy_limit = value;
   } else {
     return failed(instance, ERROR,
                   "set: such a variable cannot be set in this mode, or to this value");
@@ -286,6 +302,10 @@ static int get(Instance *instance, unsigned reference, double *value)
     *value = values->parameter[reference - PARAMETER];
   } else if (reference == STEP_SIZE) {
     *value = values->step_size;
+  } else if (reference == ENERGY_LIMIT) {
+    *value = values->energy_limit;
+  } else if (reference >= STEP_COST && reference < FREEDOM) {
+    *value = values->step_cost[reference - STEP_COST];
   } else if (reference >= FREEDOM) {
     return failed(instance, ERROR, "get: no such variable of this type");
   } else {
@@ -345,6 +365,44 @@ static int update(Instance *instance, int *changed)
   return status;
 }
 
+static int measured_step(Values *values, double size)
+{
+  @NAME@_cost cost;
+  const int status = @NAME@_step_cost(
+    &values->model, &values->state, values->tau, size, &cost);
+  if (status == @UPPER@_OK) {
+    values->step_cost[0] = fmax(values->step_cost[0], cost.position);
+    values->step_cost[1] = fmax(values->step_cost[1], cost.velocity);
+    values->step_cost[2] += cost.residual;
+    values->stored += cost.stored;
+    values->dissipated += cost.dissipated;
+    values->work += cost.work;
+  }
+  return status;
+}
+
+/* Warn once where the energy balance misses too much, beside rounding. */
+static int judged(Instance *instance, double step_size)
+{
+  Values *values = &instance->values;
+  double energies[3];
+  char message[400];
+  @NAME@_energies(&values->model, &values->state, energies);
+  values->exchanged = fmax(values->exchanged, energies[0] + fabs(values->stored) +
+                           fabs(values->dissipated) + fabs(values->work));
+  const double lost = fabs(values->step_cost[2]) -
+    1e-9 * (energies[0] + fabs(energies[1] + energies[2]));
+  if (values->warned || lost <= values->energy_limit * values->exchanged) {
+    return OK;
+  }
+  values->warned = 1;
+  snprintf(message, sizeof message,
+           "the energy balance misses %.3g J of the %.3g J exchanged until t = %.6g s: rk4 with "
+           "steps of %g s and stabilisation: projection does not follow this motion. Take a "
+           "smaller step_size.", lost, values->exchanged, values->time, step_size);
+  return failed(instance, WARNING, message);
+}
+
 static int do_step(Instance *instance, double now, double size)
 {
   Values *values = &instance->values, before;
@@ -358,8 +416,9 @@ static int do_step(Instance *instance, double now, double size)
   const double count = ceil(size / values->step_size - 1e-6);
   const long steps = count < 1.0 ? 1 : (long)count;
   for (long n = 0; n < steps; ++n) {
-    const int status = @NAME@_step(
-      &values->model, &values->state, values->tau, size / (double)steps);
+    const int status = values->energy_limit > 0.0 ?
+      measured_step(values, size / (double)steps) :
+      @NAME@_step(&values->model, &values->state, values->tau, size / (double)steps);
     if (status != @UPPER@_OK) {
       *values = before;
       return failed(instance, DISCARD, reason(status));
@@ -367,7 +426,7 @@ static int do_step(Instance *instance, double now, double size)
   }
   values->time = now + size;
   values->known = 0;
-  return OK;
+  return values->energy_limit > 0.0 ? judged(instance, size / (double)steps) : OK;
 }
 
 /* Changes of outputs by those of inputs and states. */
@@ -481,12 +540,12 @@ FMI3 = """
 /* FMI 3.0. */
 typedef void (*fmi3LogMessageCallback)(void *, fmi3Status, const char *, const char *);
 
-static void complain(const Instance *instance, const char *message)
+static void complain(const Instance *instance, int status, const char *message)
 {
   if (instance->logger) {
     fmi3LogMessageCallback log;
     memcpy(&log, &instance->logger, sizeof log);
-    log(instance->environment, ERROR, "logStatusError", message);
+    log(instance->environment, status, category(status), message);
   }
 }
 
@@ -672,12 +731,12 @@ typedef struct {
   double nextEventTime;
 } fmi2EventInfo;
 
-static void complain(const Instance *instance, const char *message)
+static void complain(const Instance *instance, int status, const char *message)
 {
   if (instance->logger) {
     void (*log)(void *, const char *, fmi2Status, const char *, const char *, ...);
     memcpy(&log, &instance->logger, sizeof log);
-    log(instance->environment, instance->name, ERROR, "logStatusError", "%s", message);
+    log(instance->environment, instance->name, status, category(status), "%s", message);
   }
 }
 

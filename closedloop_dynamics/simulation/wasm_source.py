@@ -14,19 +14,17 @@ from ..core.codegen.expression_graph import Q, QD
 from ..core.codegen.function_table import (
     BODY, CLOSURE, CORRECTIONS, CUT_POINT, ENERGY, GRAVITY, LAM, QDD, TAU, VALUES)
 from ..core.codegen.joint_forces import closures_of
-from ..core.codegen.scene_routines import Forces, SceneTrace
+from ..core.codegen.scene_routines import Forces, POWER, SceneTrace
 from ..core.codegen.vectors import add, scale, ZERO
 from ..core.codegen.wasm_writer import DOUBLE, module
 from ..core.types import CUT_NUMBER, CUT_ROW
-from ..effects.element import DISSIPATED, WORK
 from ..effects.force_law import MOTION as LAW_OF_MOTION, PROFILE
-from ..effects.traced_laws import act
+from ..effects.traced_laws import act, powers
 
 # Inputs and outputs beside those of function tables: a wrench on each body, in world axes at its
-# origin; power that effects dissipate, and that they bring in; motion of each body; forces where
-# loops close; of each effect 1 where it acts, 0 where it is switched off. Their places are behind
-# all others.
-PUSH, POWER, MOTION, FORCE, SWITCH, JACOBIAN = range(60, 66)
+# origin; motion of each body; forces where loops close; of each effect 1 where it acts, 0 where it
+# is switched off. Their places are behind all others.
+PUSH, MOTION, FORCE, SWITCH, JACOBIAN = range(60, 65)
 # Numbers of a body's motion: its origin, its axes row by row, velocity and angular velocity.
 MOTION_COLUMNS = 18
 NAMES = {Q: 'q', QD: 'qd', TAU: 'tau', PUSH: 'push', SWITCH: 'switch', BODY: 'body',
@@ -169,14 +167,11 @@ class _Trace(SceneTrace):
 
     def __init__(self, model, table, values, cuts):
         super().__init__(model, lambda forces: act(table, forces), values)
-        self._cuts, self._driven = cuts, []
+        self._cuts, self._table, self._driven = cuts, table, []
         self.switches = 0 if table is None else len(table.role)
         if table is not None:
             self._driven = [row.equation for row in table.enabled_rows
                             if row.law.role == LAW_OF_MOTION]
-        self._roles = {} if table is None else {
-            row.state + n: state.role for row in table.enabled_rows
-            for n, state in enumerate(table.elements[row.number].states)}
 
     def evaluation(self):
         """Accelerations, multipliers and power of effects."""
@@ -184,9 +179,8 @@ class _Trace(SceneTrace):
         lam = {place: value for source, place, value in self.outputs if source == LAM}
         driven = sum(lam[self.constant.cut[row, CUT_ROW]] * self.model.cut_point[row, column + 1]
                      for row, _, column in self._driven)
-        for place, (role, more) in enumerate(((DISSIPATED, 0.0), (WORK, driven))):
-            self.outputs.append((POWER, place, more + sum(
-                rate for state, rate in self._rates.items() if self._roles[state] == role)))
+        dissipated, work = powers(self._table, self._rates)
+        self.outputs += [(POWER, 0, dissipated), (POWER, 1, driven + work)]
 
     def moved(self):
         """Run the outward recursion, apply the effects and the wrenches; return the forces."""

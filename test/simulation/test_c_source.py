@@ -215,7 +215,9 @@ def test_cost_bounds_what_a_compiler_takes(scene, float32, tmp_path):
             used[re.sub(r'\..*', '', place.split(':')[-1])] = int(size)
         chains = {
             'evaluate': ('model_evaluate', 'evaluation', 'evaluation_any'),
-            'step': ('model_step', 'close_loops', 'correction', 'correction_any'),
+            'step': ('model_step', 'advance', 'close_loops', 'correction', 'correction_any'),
+            'step_cost': (
+                'model_step_cost', 'advance', 'slope_at', 'evaluation', 'evaluation_any'),
             'assemble': ('model_assemble', 'close_around', 'model_closure', 'closures_of'),
             'linearise': ('model_linearise', 'derivatives_of', 'columns_of_any')}
         for function, chain in chains.items():
@@ -260,6 +262,63 @@ def test_what_a_step_size_costs_falls_with_the_order_of_the_method():
     assert fine.duration == 2.0 and coarse.duration == 4.0
     # A fourth-order method: 16 times less, over half the duration.
     assert 0.0 < fine.apart < coarse.apart / 8.0 and 0.0 < fine.energy < coarse.energy / 8.0
+
+
+@compiled
+@pytest.mark.parametrize('scene, size, effects', (
+    ('three_rrr', 8e-3, IN_PLANE), ('rssr_four_bar', 2e-3, IN_SPACE), ('ball', 8e-3, {}),
+    pytest.param('stewart_platform', 8e-3, {}, marks=pytest.mark.slow)))
+# Of the package's own run.
+@pytest.mark.filterwarnings('ignore::closedloop_dynamics.simulation.errors.InaccuracyWarning')
+def test_a_step_tells_its_energy_balance_and_what_half_of_it_changes(
+        scene, size, effects, tmp_path):
+    if scene == 'ball':
+        (tmp_path / 'ball.yaml').write_text(BALL)
+        scene = tmp_path / 'scene.yaml'
+        scene.write_text(BALL_SCENE)
+    whole, half = (Simulation(replace(one.scene, method=replace(
+        one.scene.method, step_size=share * size))) for one, share in (
+            (simulation_of(scene, effects), 1.0), (simulation_of(scene, effects), 0.5)))
+    call, _ = library_of(tmp_path, whole)
+    # In every joint, whether it is actuated or not.
+    assert whole.torque_names == whole.joint_names
+    tau = np.random.default_rng(3).normal(size=len(whole.torque_names))
+    state = np.concatenate((whole.position, whole.velocity))
+    start, cost, sums = whole.energy_balance, np.zeros(7), np.zeros(7)
+    for _ in range(30):
+        half.restore(whole.state, whole.time)
+        whole.advance(tau, 1)
+        half.advance(tau, 2)
+        assert call('step_cost', state, tau, size, cost) == 0
+        sums += cost
+        np.testing.assert_allclose(cost[:2], [
+            np.abs(whole.coordinates.apart(whole.position, half.position)).max(),
+            np.abs(whole.velocity - half.velocity).max()], rtol=1e-6, atol=1e-12)
+    np.testing.assert_allclose(state, [*whole.position, *whole.velocity], rtol=0, atol=1e-9)
+    end = whole.energy_balance
+    np.testing.assert_allclose(
+        [cost[2], *sums[3:]],
+        [end.kinetic, end.stored - start.stored, end.dissipated, end.work, end.residual],
+        rtol=1e-6, atol=1e-12 * start.stored)
+    assert abs(end.residual) > 1e-10 * start.stored and abs(end.work) > 1e-3
+    assert not effects or end.dissipated > 1e-3
+
+
+@compiled
+@pytest.mark.parametrize('scene, effects', (
+    ('three_rrr_vertical', {}), ('rssr_four_bar', IN_SPACE)))
+def test_a_run_in_c_misses_as_much_energy_as_the_package_tells(scene, effects, tmp_path):
+    scene = simulation_of(scene, effects).scene
+    simulation = Simulation(replace(scene, method=replace(scene.method, step_size=4e-3)))
+    call, _ = library_of(tmp_path, simulation)
+    state = np.concatenate((simulation.position, simulation.velocity))
+    tau, cost, residuals, kinetic = np.zeros(len(simulation.velocity)), np.zeros(7), [], []
+    for _ in range(1000):
+        assert call('step_cost', state, tau, simulation.step_size, cost) == 0
+        residuals.append(cost[-1])
+        kinetic.append(cost[2])
+    found = np.abs(np.cumsum(residuals)[9::10]).max() / max(kinetic[9::10])
+    assert found == pytest.approx(step_cost(simulation).energy, rel=1e-4)
 
 
 @compiled

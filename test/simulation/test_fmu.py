@@ -15,9 +15,10 @@ from zipfile import ZipFile
 
 from closedloop_dynamics.cli import main
 from closedloop_dynamics.engine import build
-from closedloop_dynamics.simulation.errors import SimulationError
+from closedloop_dynamics.simulation.errors import InaccuracyWarning, SimulationError
 from closedloop_dynamics.simulation.c_run import compiled
 from closedloop_dynamics.simulation.fmu import fmu
+from closedloop_dynamics.simulation.guards import ENERGY_WARN
 from closedloop_dynamics.simulation.key_paths import changed, resolve
 from closedloop_dynamics.simulation.linearisation import Linearisation
 from closedloop_dynamics.simulation.scene import load_scene
@@ -215,7 +216,7 @@ def test_parameters_are_numbers_of_the_scene(tmp_path):
     rng = np.random.default_rng(4)
     values = {name: variable.start * (1.0 + 0.03 * rng.normal()) for name, variable in zip(
         unit.place, fmu(simulation, 'machine', binary=False).variables)
-        if variable.causality == 'parameter' and name != 'step_size'}
+        if variable.causality == 'parameter' and not name.startswith('step_')}
     assert len(values) >= 8 and 'mechanism.bodies.crank.mass' in values
     instance = unit.started(values=values)
     ours = simulation_of('four_bar', values={
@@ -268,6 +269,128 @@ def test_faults_are_errors_and_leave_the_state(tmp_path):
     assert np.array_equal(unit.get(instance, ['crank_joint.q']), before)
     assert unit.call('Reset', instance) == 0
     unit.call('FreeInstance', instance)
+
+
+@pytest.mark.parametrize('version', (
+    '3.0', pytest.param('2.0', marks=pytest.mark.slow)))
+def test_a_unit_warns_of_its_step_size_in_the_words_of_the_package(version, tmp_path):
+    method, limit = {**RK4, 'step_size': 1e-2}, 'step_cost.energy_limit'
+    simulation = simulation_of('three_rrr_vertical', method)
+    written = fmu(simulation, 'machine', version)
+    names = [f'step_cost.{what}' for what in ('position', 'velocity', 'residual')]
+    place = [one.name for one in written.variables].index
+    for name, text in sources_of(written).items():
+        (tmp_path / name).write_text(text)
+    (tmp_path / 'run.c').write_text(WARNED[version] % (place(limit), place(names[0])))
+    subprocess.run([*build.compiler(), '-x', 'c', '-std=c99', '-Wall', '-Wextra', '-Werror',
+                    tmp_path / 'run.c', '-o', tmp_path / 'run', '-lm'], check=True)
+
+    def run(share):
+        *lines, last = subprocess.run(
+            [tmp_path / 'run', str(share)], check=True, capture_output=True,
+            text=True).stdout.splitlines()
+        return lines, np.array(last.split(), dtype=float)
+
+    lines, cost = run(ENERGY_WARN)
+    with pytest.warns(InaccuracyWarning) as warned:
+        for _ in range(60):
+            simulation.step(None, 0.05)
+    status, told = lines[0].split(' ', 1)
+    ours = str(warned[0].message)
+    assert (status, len(lines), len(warned)) == ('1', 1, 1)
+    words, number = ' does not follow this motion. ', r'\d[-+.\de]*'
+    assert told.startswith('logStatusWarning ') and told.endswith('Take a smaller step_size.')
+    (found, _), (expected, _) = (one.split(words) for one in (told.split(' ', 1)[1], ours))
+    assert re.sub(number, '', found) == re.sub(number, '', expected)
+    np.testing.assert_allclose(*([float(one) for one in re.findall(r' (\d[\d.e-]*)', text)]
+                                 for text in (found, expected)), rtol=6e-3)
+    np.testing.assert_allclose(cost[2], simulation.energy_balance.residual, rtol=1e-6)
+    assert 0.0 < cost[0] < cost[1]
+    # Without being asked nothing is measured.
+    lines, cost = run(0.0)
+    assert lines == [] and not cost.any()
+
+
+# A run of 3 s: warnings with the status of their step, then what steps cost.
+WARNED = {
+    '3.0': """
+#include "fmu.c"
+static void log_message(void *to, fmi3Status status, const char *category, const char *text)
+{
+  (void)to;
+  printf("%%d %%s %%s\\n", status, category, text);
+}
+int main(int count, char **text)
+{
+  Instance *one = fmi3InstantiateCoSimulation(
+    "", token, 0, 0, 0, 0, 0, 0, 0, 0, log_message, 0);
+  const unsigned limit = %d, first = %d, cost[] = {first, first + 1, first + 2};
+  double share = atof(text[count - 1]), found[3], last;
+  bool a, b, c;
+  int warnings = 0;
+  if (fmi3EnterInitializationMode(one, false, 0, 0, false, 0) != OK ||
+      fmi3SetFloat64(one, &limit, 1, &share, 1) != OK ||
+      fmi3ExitInitializationMode(one) != OK)
+  {
+    return 1;
+  }
+  for (int n = 0; n < 60; ++n) {
+    const int status = fmi3DoStep(one, 0.05 * n, 0.05, true, &a, &b, &c, &last);
+    warnings += status == WARNING;
+    if (status > WARNING) {
+      return 2;
+    }
+  }
+  if (warnings != (share > 0.0) || fmi3GetFloat64(one, cost, 3, found, 3) != OK) {
+    return 3;
+  }
+  printf("%%.17g %%.17g %%.17g\\n", found[0], found[1], found[2]);
+  fmi3FreeInstance(one);
+  return 0;
+}
+""",
+    '2.0': """
+#include "fmu.c"
+#include <stdarg.h>
+static void log_message(
+  void *to, const char *name, fmi2Status status, const char *category, const char *text, ...)
+{
+  va_list arguments;
+  (void)to;
+  (void)name;
+  printf("%%d %%s ", status, category);
+  va_start(arguments, text);
+  vprintf(text, arguments);
+  va_end(arguments);
+  puts("");
+}
+int main(int count, char **text)
+{
+  const fmi2CallbackFunctions functions = {log_message, 0, 0, 0, 0};
+  Instance *one = fmi2Instantiate("", 1, token, 0, &functions, 0, 0);
+  const unsigned limit = %d, first = %d, cost[] = {first, first + 1, first + 2};
+  double share = atof(text[count - 1]), found[3];
+  int warnings = 0;
+  if (fmi2EnterInitializationMode(one) != OK || fmi2SetReal(one, &limit, 1, &share) != OK ||
+      fmi2ExitInitializationMode(one) != OK)
+  {
+    return 1;
+  }
+  for (int n = 0; n < 60; ++n) {
+    const int status = fmi2DoStep(one, 0.05 * n, 0.05, 1);
+    warnings += status == WARNING;
+    if (status > WARNING) {
+      return 2;
+    }
+  }
+  if (warnings != (share > 0.0) || fmi2GetReal(one, cost, 3, found) != OK) {
+    return 3;
+  }
+  printf("%%.17g %%.17g %%.17g\\n", found[0], found[1], found[2]);
+  fmi2FreeInstance(one);
+  return 0;
+}
+"""}
 
 
 @pytest.mark.parametrize('version', (

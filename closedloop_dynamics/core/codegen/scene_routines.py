@@ -16,8 +16,9 @@ from .spatial import rigid
 from .vectors import add, cross, dot, in_space, is_zero, scale, subtract, times, ZERO
 from ..types import BALL, COORDINATE, DOF, PARENT, TYPE
 
-# Inputs and outputs beside those of a function table: numbers of points; places and their rates.
-POINT, PLACE, PLACE_RATE = 47, 55, 56
+# Inputs and outputs beside those of a function table: numbers of points; places and their rates;
+# power that effects dissipate, and that they bring in.
+POINT, PLACE, PLACE_RATE, POWER = 47, 55, 56, 57
 
 
 class SceneTrace(MechanismTrace):
