@@ -88,7 +88,7 @@ def _bytes(body, sizes, constants):
         initialized = re.search(r'=\s*\{+(.*)\}', text, re.DOTALL)
         while '(' in text:
             text = re.sub(r'\([^()]*\)', '', text)
-        for one in re.sub(r'=\s*(\{.*\}|[^,]*)', '', text, flags=re.DOTALL).split(','):
+        for one in re.sub(r'=\s*(\{+[^{}]*\}+|[^,]*)', '', text).split(','):
             if one.lstrip().startswith('*'):
                 total += _SIZES['size_t']
                 continue

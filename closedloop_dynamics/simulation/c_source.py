@@ -11,9 +11,10 @@ import numpy as np
 
 from .c_cost import Cost, MOST_CORRECTIONS
 from .c_template import (
-    BLOCKS, CALLED, CASADI, COMPONENTS, COMPONENTS_WITH_QUATERNIONS, COMPUTED_TORQUE,
-    DIFFERENTIATE, FORCES, HEADER, INVERSE, JACOBIANS, LINEAR_STEP, LINEARISE, PLAIN, SOURCE,
-    STRAIGHT, TURNING, WITH_QUATERNIONS, WRENCHES)
+    BLOCKS, CALLED, CASADI, COMPONENTS, COMPONENTS_WITH_QUATERNIONS, COMPUTED_TORQUE, CONTROLLER,
+    DECISION, DIFFERENTIATE, FEEDBACK, FORCES, HEADER, INVERSE, JACOBIANS, LINEAR_STEP, LINEARISE,
+    MOVING, OPERATIONAL, PLAIN, SOURCE, STRAIGHT, TASKS, TURNING, VELOCITY, WITH_QUATERNIONS,
+    WRENCHES)
 from .errors import SimulationError
 from .independent import choose_independent
 from .modeling import extent
@@ -26,7 +27,8 @@ from ..core.codegen.expression_graph import Q, QD
 from ..core.codegen.function_table import (
     BODY, CLOSURE, CORRECTIONS, CUT_POINT, ENERGY, GRAVITY, LAM, LANES, QDD, SHARED, TAU,
     VALUE_COLUMNS, VALUES)
-from ..core.codegen.scene_routines import PLACE, PLACE_RATE, POINT, POWER, SceneTrace
+from ..core.codegen.scene_routines import (
+    PLACE, PLACE_BIAS, PLACE_RATE, POINT, POWER, SceneTrace)
 from ..core.types import CUT_NUMBER, CUT_ROW, ROWS
 from ..effects.traced_laws import act, powers
 from ..engine import native
@@ -169,18 +171,23 @@ class _Text:
         vectors = re.search(r'\b(four|eight) ', versions + words['ROUTINES'])
         words |= {'VERSIONS': versions, 'FACTORS': str(self.factors), 'COSTS': '',
                   'VECTORS': f'{VECTORS}\n' if vectors else ''}
-        free, driven = int(words['NI']), int(words['NA'])
+        free, driven, points = int(words['NI']), int(words['NA']), int(words['NP'])
         # By what they depend on, in an order in which none has one of the later ones.
         for there, parts in (
                 (not self.float32, {'CASADI': CASADI, 'CALLED': CALLED, 'BLOCKS': BLOCKS}),
                 (free, {'LINEARISE': LINEARISE, 'LINEAR': LINEAR_STEP}),
+                (free and (points or free == driven), {'DECISION': DECISION}),
+                ('-1' not in words['OWN'], {'FEEDBACK': FEEDBACK, 'CONTROLLER': CONTROLLER}),
                 (free and free == driven, {'DECLARED': INVERSE, 'CONTROL': COMPUTED_TORQUE}),
+                (free and points, {'MOVING': MOVING, 'VELOCITY': VELOCITY}),
+                (points, {'TASKS': TASKS, 'OPERATIONAL': OPERATIONAL}),
                 (self.derivatives, {'JACOBIANS': JACOBIANS, 'DIFFERENTIATE': DIFFERENTIATE}),
                 (self.joints, {'FORCES': FORCES, 'WRENCHES': WRENCHES})):
             words |= {word: _filled(text, words) if there else ''
                       for word, text in parts.items()}
         source = _filled(SOURCE, words)
         sizes = {key: int(words[key]) for key in ('NQ', 'NV', 'NC', 'NI', 'NA')}
+        sizes |= {'SPACE': int(words['SIZE']), 'PLACES': points * int(words['SIZE'])}
         self.cost.read(source, self.name, sizes | {
             'NC1': max(sizes['NC'], 1), 'NI1': max(sizes['NI'], 1), 'BALLS': self._balls()})
         words['COSTS'] = '\n'.join(_wrapped(line) for line in self.cost.lines())
@@ -200,14 +207,17 @@ class _Text:
         return {
             'NI': str(len(free)), 'NA': str(len(driven)), 'MOST': str(MOST_CORRECTIONS),
             'CHOICE': ', '.join(map(str, [*free, -1])),
+            # Places of the independent freedoms in q: -1 of rotations.
+            'OWN': ', '.join(map(str, np.asarray(coordinates.place)[free])),
             'DRIVES': ', '.join(map(str, [*driven, -1])),
             'INDEPENDENT': _wrapped(', '.join(f'{n} {names[n]}' for n in free) or 'none'),
             'NEWTON': repr(1e-3 if self.float32 else 1e-8),
+            'RATIO': '1e5' if self.float32 else '1e8',
             'NAME': self.name, 'UPPER': self.name.upper(), 'HEADER': f'{self.name}.h',
             # No name ends a comment.
             'TITLE': f'{simulation.scene.name}, in C'.replace('*/', '* /'),
             'NQ': str(nq), 'NV': str(nv), 'NC': str(nc), 'NP': str(len(points)),
-            'SPACE': 'two' if size == 2 else 'three',
+            'SIZE': str(size),
             'COLUMNS': '\n'.join(_wrapped(f'{name}: {what}.')
                                  for name, _, what in self.members.values()),
             'MEMBERS': '\n'.join(f'  double {name}{_shape(array)};'
@@ -290,11 +300,15 @@ class _Text:
             'int powers_of', unrolled(self._store_powers),
             {Q: 'const double *q', QD: 'const double *qd', POWER: 'double *powers'})
         yield self._function(
-            'int places_of', unrolled(lambda one: one.places(rows), without=PLACE_RATE),
+            'int places_of', unrolled(lambda one: one.places(rows), only=PLACE),
             {Q: 'const double *q', PLACE: 'double *places'})
         yield self._function(
-            'int velocities_of', unrolled(lambda one: one.places(rows), without=PLACE),
+            'int velocities_of', unrolled(lambda one: one.places(rows), only=PLACE_RATE),
             {Q: 'const double *q', QD: 'const double *qd', PLACE_RATE: 'double *velocities'})
+        yield '/* Accelerations of the points where the joint rates stay as they are. */'
+        yield self._function(
+            'int biases_of', unrolled(lambda one: one.places(rows), only=PLACE_BIAS),
+            {Q: 'const double *q', QD: 'const double *qd', PLACE_BIAS: 'double *biases'})
         yield self._function(
             'int closures_of', unrolled(lambda one: one.closures(), DerivativeTrace),
             {Q: 'const double *q', CLOSURE: 'double *errors', JACOBIAN: 'double *jacobian'})
@@ -309,14 +323,14 @@ class _Text:
         trace.outputs += [(POWER, place, power) for place, power in enumerate(
             powers(self.system.effects, trace.moved().rates))]
 
-    def _unrolled(self, what, kind=SceneTrace, without=None):
-        """Return a routine of a new unrolling, but for an output that it has no use for."""
+    def _unrolled(self, what, kind=SceneTrace, only=None):
+        """Return a routine of a new unrolling, of all outputs or only one."""
         table = self.system.effects
         one = kind(
             self.model, lambda forces: act(table, forces),
             self.members[VALUES][1].shape if VALUES in self.members else (0, VALUE_COLUMNS))
         what(one)
-        one.outputs = [output for output in one.outputs if output[0] != without]
+        one.outputs = [output for output in one.outputs if only in (None, output[0])]
         return one.named('')
 
     def _function(self, head, routine, parameters):

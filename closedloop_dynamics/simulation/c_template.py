@@ -23,11 +23,11 @@ HEADER = """\
 extern "C" {
 #endif
 
-/* Numbers of coordinates, of rates and torques, of multipliers, of named points, of independent
- * freedoms, and of actuated joints. */
+/* Numbers of coordinates, of rates and torques, of multipliers, of named points and of numbers of
+ * each, of independent freedoms, and of actuated joints. */
 enum {
   @UPPER@_NQ = @NQ@, @UPPER@_NV = @NV@, @UPPER@_NC = @NC@, @UPPER@_POINTS = @NP@,
-  @UPPER@_NI = @NI@, @UPPER@_NA = @NA@
+  @UPPER@_SPACE = @SIZE@, @UPPER@_NI = @NI@, @UPPER@_NA = @NA@
 };
 
 /* What functions return. Where it is not OK, nothing that they were given has changed. */
@@ -110,7 +110,7 @@ extern const int @NAME@_independent[], @NAME@_actuated[];
 /* Kinetic energy, that in gravity, and that stored in springs [J]. */
 void @NAME@_energies(const @NAME@_model *model, const @NAME@_state *state, double energies[3]);
 
-/* Places of the named points in the world [m], @SPACE@ numbers each:
+/* Places of the named points in the world [m], SPACE numbers each:
 @POINTS@ */
 void @NAME@_points(const @NAME@_model *model, const double *q, double *places);
 
@@ -118,6 +118,11 @@ void @NAME@_points(const @NAME@_model *model, const double *q, double *places);
 void @NAME@_velocities(
   const @NAME@_model *model, const double *q, const double *qd, double *velocities);
 
+/* Their accelerations [m/s^2]. */
+void @NAME@_accelerations(
+  const @NAME@_model *model, const double *q, const double *qd, const double *qdd,
+  double *accelerations);
+@TASKS@
 /* Errors of the closure equations, errors[NC] [m, rad], and their Jacobian, NC rows of NV numbers,
  * in the order of the multipliers. */
 void @NAME@_closure(
@@ -143,8 +148,10 @@ SOURCE = """\
 #include <math.h>
 #include <string.h>
 
-enum { NQ = @UPPER@_NQ, NV = @UPPER@_NV, NC = @UPPER@_NC };
-enum { NI = @UPPER@_NI, NA = @UPPER@_NA };
+enum {
+  NQ = @UPPER@_NQ, NV = @UPPER@_NV, NC = @UPPER@_NC, NI = @UPPER@_NI, NA = @UPPER@_NA,
+  SPACE = @UPPER@_SPACE, PLACES = @UPPER@_POINTS * SPACE
+};
 /* Arrays have a length. */
 enum { NC1 = NC > 0 ? NC : 1, NI1 = NI > 0 ? NI : 1 };
 
@@ -265,8 +272,9 @@ void @NAME@_move(double *q, const double *change)
   move(q, change);
 }
 
-/* Solve a x = b of some rows, both overwritten; returns the absolute value of the determinant. */
-static double solve(int rows, double *a, double *b)
+/* Solve a x = b of some rows, b of some columns, both overwritten; returns the absolute value of
+ * the determinant. */
+static double solve(int rows, int columns, double *a, double *b)
 {
   double determinant = 1.0;
   for (int k = 0; k < rows; ++k) {
@@ -279,23 +287,29 @@ static double solve(int rows, double *a, double *b)
       a[k * rows + j] = a[best * rows + j];
       a[best * rows + j] = kept;
     }
-    const double kept = b[k];
-    b[k] = b[best];
-    b[best] = kept;
+    for (int n = 0; n < columns; ++n) {
+      const double kept = b[k * columns + n];
+      b[k * columns + n] = b[best * columns + n];
+      b[best * columns + n] = kept;
+    }
     determinant *= fabs(a[k * rows + k]);
     for (int i = k + 1; i < rows; ++i) {
       const double factor = a[i * rows + k] / a[k * rows + k];
       for (int j = k; j < rows; ++j) {
         a[i * rows + j] -= factor * a[k * rows + j];
       }
-      b[i] -= factor * b[k];
+      for (int n = 0; n < columns; ++n) {
+        b[i * columns + n] -= factor * b[k * columns + n];
+      }
     }
   }
   for (int k = rows - 1; k >= 0; --k) {
-    for (int j = k + 1; j < rows; ++j) {
-      b[k] -= a[k * rows + j] * b[j];
+    for (int n = 0; n < columns; ++n) {
+      for (int j = k + 1; j < rows; ++j) {
+        b[k * columns + n] -= a[k * rows + j] * b[j * columns + n];
+      }
+      b[k * columns + n] /= a[k * rows + k];
     }
-    b[k] /= a[k * rows + k];
   }
   return determinant;
 }
@@ -310,31 +324,37 @@ static int is_chosen(const int *choice, int count, int freedom)
   return 0;
 }
 
-/* Complete changes of the chosen freedoms so that J change = -right; returns as solve. */
+/* Complete some changes of the chosen freedoms, NV numbers each and at most NI1, so that
+ * J change = -right; returns as solve. */
 static double complete(
-  const int *choice, int count, double jacobian[NC1][NV], const double *right, double *change)
+  const int *choice, int count, double jacobian[NC1][NV], const double *right, int changes,
+  double *change)
 {
-  double a[NC1 * NC1] = {0.0}, b[NC1] = {0.0};
+  double a[NC1 * NC1] = {0.0}, b[NC1 * NI1] = {0.0};
   int place = 0;
-  for (int i = 0; i < NC; ++i) {
-    b[i] = -right[i];
+  for (int i = 0; i < NC * changes; ++i) {
+    b[i] = -right[i / changes];
   }
   for (int j = 0; j < NV; ++j) {
     const int own = is_chosen(choice, count, j);
     for (int i = 0; i < NC; ++i) {
-      if (own) {
-        b[i] -= jacobian[i][j] * change[j];
-      } else if (place < NC) {
+      for (int n = 0; own && n < changes; ++n) {
+        b[i * changes + n] -= jacobian[i][j] * change[n * NV + j];
+      }
+      if (!own && place < NC) {
         a[i * NC + place] = jacobian[i][j];
       }
     }
     place += !own;
   }
-  const double determinant = solve(NC, a, b);
+  const double determinant = solve(NC, changes, a, b);
   place = 0;
   for (int j = 0; j < NV; ++j) {
     if (!is_chosen(choice, count, j) && place < NC) {
-      change[j] = b[place++];
+      for (int n = 0; n < changes; ++n) {
+        change[n * NV + j] = b[place * changes + n];
+      }
+      ++place;
     }
   }
   return determinant;
@@ -353,7 +373,7 @@ static int close_around(
   for (int n = 0; NC > 0 && n < MOST; ++n) {
     @NAME@_closure(model, closed.q, error, jacobian[0]);
     memset(change, 0, sizeof change);
-    complete(choice, count, jacobian, error, change);
+    complete(choice, count, jacobian, error, 1, change);
     const double size = largest(change, NV);
     if (!(size < 1.0)) {
       return @UPPER@_OPEN;
@@ -369,7 +389,7 @@ static int close_around(
   if (!good || !(largest(error, NC) <= model->closure_limit)) {
     return @UPPER@_OPEN;
   }
-  complete(choice, count, jacobian, none, closed.qd);
+  complete(choice, count, jacobian, none, 1, closed.qd);
   for (int i = 0; i < NV; ++i) {
     if (!isfinite(closed.qd[i])) {
       return @UPPER@_SINGULAR;
@@ -383,7 +403,7 @@ int @NAME@_assemble(const @NAME@_model *model, @NAME@_state *state)
 {
   return close_around(model, @NAME@_independent, NI, state);
 }
-@CONTROL@
+@DECISION@@CONTROL@
 /* What to step along: rates of coordinates, then accelerations. Where they are asked for, add to
  * the energies exchanged what effects dissipate in a time, and the work of external forces and of
  * torques on orientations. */
@@ -501,12 +521,24 @@ void @NAME@_velocities(
   velocities_of(model, q, qd, velocities);
 }
 
+void @NAME@_accelerations(
+  const @NAME@_model *model, const double *q, const double *qd, const double *qdd,
+  double *accelerations)
+{
+  double without[PLACES + 1];
+  biases_of(model, q, qd, without);
+  velocities_of(model, q, qdd, accelerations);
+  for (int i = 0; i < PLACES; ++i) {
+    accelerations[i] += without[i];
+  }
+}
+
 void @NAME@_closure(
   const @NAME@_model *model, const double *q, double *errors, double *jacobian)
 {
   closures_of(model, q, errors, jacobian);
 }
-@WRENCHES@
+@VELOCITY@@OPERATIONAL@@WRENCHES@
 const char *const @NAME@_position_names[] = {@POSITIONS@};
 const char *const @NAME@_velocity_names[] = {@VELOCITIES@};
 
@@ -597,7 +629,7 @@ enum { ARGUMENTS = 3, RESULTS = 2 };
 
 int @NAME@(const double **arg, double **res, long long int *iw, double *w, int mem)
 {
-  static const double zero[NQ + NV];
+  static const double zero[NQ + NV] = {0.0};
   double qdd[NV], lam[NC1];
   (void)iw;
   (void)w;
@@ -656,6 +688,36 @@ int @NAME@_work(
 }
 """
 
+# For the Jacobian of points and computed torque, where there is a degree of freedom.
+DECISION = """
+/* Rates of all joints by those of the freedoms of a table; returns whether these decide them. */
+static int decides(
+  const @NAME@_model *model, const double *q, const int *table, double along[NI][NV])
+{
+  static const double none[NC1] = {0.0};
+  double error[NC1], jacobian[NC1][NV];
+  int count = 0;
+  while (table[count] >= 0) {
+    ++count;
+  }
+  if (count != NI) {
+    return 0;
+  }
+  memset(along, 0, NI * NV * sizeof(double));
+  for (int n = 0; n < NI; ++n) {
+    along[n][table[n]] = 1.0;
+  }
+  @NAME@_closure(model, q, error, jacobian[0]);
+  complete(table, NI, jacobian, none, NI, along[0]);
+  for (int i = 0; i < NI * NV; ++i) {
+    if (!(fabs(along[0][i]) < @RATIO@)) {
+      return 0;
+    }
+  }
+  return 1;
+}
+"""
+
 # Where as many joints are actuated as there are degrees of freedom: in the header, and behind the
 # assembly.
 INVERSE = """
@@ -663,6 +725,35 @@ INVERSE = """
  * by acceleration[NI]: computed torque. They take NI + 1 evaluations. */
 int @NAME@_inverse(
   const @NAME@_model *model, const @NAME@_state *state, const double *acceleration, double *tau);
+
+/* Those that hold the position at rest, against gravity and springs. */
+int @NAME@_gravity_compensation(
+  const @NAME@_model *model, const @NAME@_state *state, double *tau);
+@FEEDBACK@"""
+
+# Beside them, where no orientation is independent.
+FEEDBACK = """
+/* Those of a computed-torque controller: of acceleration[NI], stiffness[NI] [1/s^2] times the
+ * errors of the independent coordinates and damping[NI] [1/s] times those of their rates. */
+int @NAME@_computed_torque(
+  const @NAME@_model *model, const @NAME@_state *state, const @NAME@_state *wanted,
+  const double *acceleration, const double *stiffness, const double *damping, double *tau);
+"""
+
+CONTROLLER = """
+int @NAME@_computed_torque(
+  const @NAME@_model *model, const @NAME@_state *state, const @NAME@_state *wanted,
+  const double *acceleration, const double *stiffness, const double *damping, double *tau)
+{
+  static const int coordinate[] = {@OWN@};
+  double total[NI];
+  for (int n = 0; n < NI; ++n) {
+    const int i = coordinate[n], j = @NAME@_independent[n];
+    total[n] = acceleration[n] + stiffness[n] * (wanted->q[i] - state->q[i]) +
+      damping[n] * (wanted->qd[j] - state->qd[j]);
+  }
+  return @NAME@_inverse(model, state, total, tau);
+}
 """
 
 COMPUTED_TORQUE = """
@@ -671,6 +762,10 @@ int @NAME@_inverse(
 {
   /* Accelerations are those without torques, and in proportion to these. */
   double unit[NV] = {0.0}, qdd[NV], lam[NC1], without[NI], by_torque[NI * NI], found[NI];
+  double along[NI][NV];
+  if (!decides(model, state->q, @NAME@_actuated, along)) {
+    return @UPPER@_SINGULAR;
+  }
   for (int n = -1; n < NI; ++n) {
     if (n >= 0) {
       unit[@NAME@_actuated[n]] = 1.0;
@@ -691,7 +786,7 @@ int @NAME@_inverse(
       unit[@NAME@_actuated[n]] = 0.0;
     }
   }
-  solve(NI, by_torque, found);
+  solve(NI, 1, by_torque, found);
   for (int i = 0; i < NI; ++i) {
     if (!isfinite(found[i])) {
       return @UPPER@_SINGULAR;
@@ -700,6 +795,99 @@ int @NAME@_inverse(
   memset(tau, 0, NV * sizeof(double));
   for (int i = 0; i < NI; ++i) {
     tau[@NAME@_actuated[i]] = found[i];
+  }
+  return @UPPER@_OK;
+}
+
+int @NAME@_gravity_compensation(
+  const @NAME@_model *model, const @NAME@_state *state, double *tau)
+{
+  static const double none[NI] = {0.0};
+  @NAME@_state rest = *state;
+  memset(rest.qd, 0, sizeof rest.qd);
+  return @NAME@_inverse(model, &rest, none, tau);
+}
+@CONTROLLER@"""
+
+# Where there are named points: in the header, and behind the closure equations.
+TASKS = """@MOVING@
+/* Operational-space dynamics of a named point, by its number: force = inertia acceleration + bias,
+ * inertia[SPACE][SPACE] [kg], bias[SPACE] [N]. SINGULAR where it cannot move in all directions, or
+ * hardly in one. It takes SPACE + 1 evaluations. */
+int @NAME@_operational_space(
+  const @NAME@_model *model, const @NAME@_state *state, int point, double *inertia, double *bias);
+"""
+
+OPERATIONAL = """
+int @NAME@_operational_space(
+  const @NAME@_model *model, const @NAME@_state *state, int point, double *inertia, double *bias)
+{
+  const double *q = state->q, *qd = state->qd;
+  const int first = point * SPACE;
+  double unit[NV] = {0.0}, tau[NV] = {0.0}, along[NV][PLACES], qdd[NV], lam[NC1];
+  double without[PLACES], pushed[PLACES];
+  double response[SPACE * SPACE], found[SPACE * SPACE] = {0.0};
+  for (int j = 0; j < NV; ++j) {
+    unit[j] = 1.0;
+    velocities_of(model, q, unit, along[j]);
+    unit[j] = 0.0;
+  }
+  /* Accelerations without a force on the point, then with one along each axis. */
+  for (int axis = -1; axis < SPACE; ++axis) {
+    for (int j = 0; axis >= 0 && j < NV; ++j) {
+      tau[j] = along[j][first + axis];
+    }
+    if (!evaluation(model, q, qd, tau, qdd, lam)) {
+      return @UPPER@_SINGULAR;
+    }
+    @NAME@_accelerations(model, q, qd, qdd, axis < 0 ? without : pushed);
+    for (int k = 0; axis >= 0 && k < SPACE; ++k) {
+      response[k * SPACE + axis] = pushed[first + k] - without[first + k];
+    }
+  }
+  const double size = largest(response, SPACE * SPACE);
+  for (int k = 0; k < SPACE; ++k) {
+    found[k * SPACE + k] = 1.0;
+  }
+  solve(SPACE, SPACE, response, found);
+  for (int i = 0; i < SPACE * SPACE; ++i) {
+    if (!(fabs(found[i]) * size < @RATIO@)) {
+      return @UPPER@_SINGULAR;
+    }
+  }
+  memcpy(inertia, found, sizeof found);
+  for (int k = 0; k < SPACE; ++k) {
+    bias[k] = 0.0;
+    for (int axis = 0; axis < SPACE; ++axis) {
+      bias[k] -= found[k * SPACE + axis] * without[first + axis];
+    }
+  }
+  return @UPPER@_OK;
+}
+"""
+
+# Beside them, where there is a degree of freedom.
+MOVING = """
+/* Jacobian of the named points, POINTS SPACE rows of NI numbers: their velocities by the rates of
+ * the freedoms of a table, such as _independent and _actuated, of as many as there are degrees of
+ * freedom. SINGULAR where these do not decide the motion, or hardly. */
+int @NAME@_jacobian(
+  const @NAME@_model *model, const double *q, const int *by, double *jacobian);
+"""
+
+VELOCITY = """
+int @NAME@_jacobian(
+  const @NAME@_model *model, const double *q, const int *by, double *jacobian)
+{
+  double along[NI][NV], velocities[PLACES];
+  if (!decides(model, q, by, along)) {
+    return @UPPER@_SINGULAR;
+  }
+  for (int n = 0; n < NI; ++n) {
+    velocities_of(model, q, along[n], velocities);
+    for (int row = 0; row < PLACES; ++row) {
+      jacobian[row * NI + n] = velocities[row];
+    }
   }
   return @UPPER@_OK;
 }
@@ -757,10 +945,10 @@ int @NAME@_linearise(
       for (int n = 0; n < NI; ++n) {
         const int own = @NAME@_independent[n];
         before[n][own] = before[NI + n][NV + own] = 1.0;
-        complete(@NAME@_independent, NI, jacobian, none, before[n]);
+        complete(@NAME@_independent, NI, jacobian, none, 1, before[n]);
         change_of_rates(rates_by, before[n], right);
-        complete(@NAME@_independent, NI, jacobian, right, before[n] + NV);
-        complete(@NAME@_independent, NI, jacobian, none, before[NI + n] + NV);
+        complete(@NAME@_independent, NI, jacobian, right, 1, before[n] + NV);
+        complete(@NAME@_independent, NI, jacobian, none, 1, before[NI + n] + NV);
       }
       memcpy(after, before, sizeof after);
     }
@@ -857,7 +1045,7 @@ BLOCKS = """
 /* All Jacobians, blocks of their own: of each result by each argument. */
 int jac_@NAME@(const double **arg, double **res, long long int *iw, double *w, int mem)
 {
-  static const double zero[NQ + NV];
+  static const double zero[NQ + NV] = {0.0};
   const double *q = arg[0] ? arg[0] : zero;
   double qdd[NV], lam[NC1], *found = w, *by_q = w + 3 * NV * (NV + NC);
   (void)iw;

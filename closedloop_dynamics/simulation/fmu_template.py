@@ -165,7 +165,7 @@ static double determinant_now(const Values *values)
   static const double none[NC1] = {0.0};
   double error[NC1], jacobian[NC1][NV], change[NV] = {0.0};
   @NAME@_closure(&values->model, values->state.q, error, jacobian[0]);
-  return complete(values->choice, FREE, jacobian, none, change);
+  return complete(values->choice, FREE, jacobian, none, 1, change);
 }
 
 /* Choose independent coordinates again, by elimination with complete pivoting. Returns whether
@@ -466,9 +466,9 @@ static int differentiate(
     return failed(instance, DISCARD, reason(@UPPER@_SINGULAR));
   }
   @NAME@_closure(&values->model, q, right, jacobian[0]);
-  complete(values->choice, FREE, jacobian, zero, dq);
+  complete(values->choice, FREE, jacobian, zero, 1, dq);
   change_of_rates(&rates_by[0][0][0], dq, right);
-  complete(values->choice, FREE, jacobian, right, dqd);
+  complete(values->choice, FREE, jacobian, right, 1, dqd);
   rates(q, dq, moved);
   for (size_t n = 0; n < count; ++n) {
     unsigned k = unknowns[n];

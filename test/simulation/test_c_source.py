@@ -25,6 +25,7 @@ from closedloop_dynamics.simulation.c_run import error_of_float32, step_cost
 from closedloop_dynamics.simulation.c_source import c_cost, c_source
 from closedloop_dynamics.simulation.derivatives import Differentiator
 from closedloop_dynamics.simulation.errors import SimulationError
+from closedloop_dynamics.simulation.independent import choose_independent
 from closedloop_dynamics.simulation.model import Model
 from closedloop_dynamics.simulation.scene import load_scene
 from closedloop_dynamics.simulation.simulation import Simulation
@@ -74,8 +75,10 @@ def build(folder, simulation, *options, name='model', derivatives=False, compile
     (folder / f'{name}.c').write_text(source)
     (folder / f'{name}.h').write_text(header)
     out = folder / (f'{name}.so' if '-shared' in options else name)
+    # Which C it is, is no option of a compiler of C++.
+    strict = STRICT[1:] if command == 'c++' else STRICT
     subprocess.run(
-        (command, *STRICT, *options, '-o', out, folder / f'{name}.c', '-lm'), check=True)
+        (command, *strict, *options, '-o', out, folder / f'{name}.c', '-lm'), check=True)
     return out
 
 
@@ -219,6 +222,7 @@ def test_cost_bounds_what_a_compiler_takes(scene, float32, tmp_path):
             'step_cost': (
                 'model_step_cost', 'advance', 'slope_at', 'evaluation', 'evaluation_any'),
             'assemble': ('model_assemble', 'close_around', 'model_closure', 'closures_of'),
+            'operational_space': ('model_operational_space', 'evaluation', 'evaluation_any'),
             'linearise': ('model_linearise', 'derivatives_of', 'columns_of_any')}
         for function, chain in chains.items():
             # What is not listed has become part of its caller.
@@ -328,15 +332,17 @@ def test_the_error_of_single_precision_is_one_of_rounding():
     assert 1e-7 < error < 1e-2
 
 
-def library_of(folder, simulation, derivatives=False):
+def library_of(folder, simulation, derivatives=False, options=(), command='cc'):
     """Return functions of the compiled library, of arrays and numbers."""
     library = ctypes.CDLL(str(build(
-        folder, simulation, '-O1', '-shared', '-fPIC', derivatives=derivatives)))
+        folder, simulation, '-O1', '-shared', '-fPIC', *options, derivatives=derivatives,
+        command=command)))
     model = ctypes.byref(ctypes.c_char.in_dll(library, 'model_default'))
 
     def call(name, *values):
         return getattr(library, f'model_{name}')(model, *(
             ctypes.c_double(one) if isinstance(one, float) else
+            one if isinstance(one, int) else
             ctypes.c_void_p(one.ctypes.data) for one in values))
 
     names = simulation.joint_names
@@ -394,6 +400,94 @@ def test_computed_torque_is_that_of_the_package(scene, tmp_path):
     np.testing.assert_allclose(tau[driven], expected, rtol=1e-8, atol=1e-8)
     acceleration = model.evaluate(state, expected).acceleration
     np.testing.assert_allclose(acceleration[own], wanted, rtol=0, atol=1e-7)
+
+
+def table_of(names, chosen):
+    return np.array([*(names.index(name) for name in chosen), -1], dtype=np.intc)
+
+
+@compiled
+@pytest.mark.parametrize('scene, command, options', (
+    ('four_bar', 'cc', ()), ('three_rrr_vertical', 'c++', ('-std=c++20', '-x', 'c++')),
+    ('stewart_platform', 'cc', ('-O0',))))
+def test_control_by_drives_is_that_of_the_package(scene, command, options, tmp_path):
+    if shutil.which(command) is None:
+        pytest.skip(f'needs a compiler called {command}')
+    simulation = simulation_of(scene)
+    call, independent = library_of(tmp_path, simulation, options=options, command=command)
+    names, n = simulation.joint_names, len(independent)
+    model, rng, wanted = Model.from_scene(scene), np.random.default_rng(4), simulation.snapshot()
+    simulation.step(torques(simulation), 0.05)
+    state = simulation.snapshot()
+    both, one = np.concatenate((state.q, state.qd)), model.reduce(state, independent=independent)
+    points, (count, size) = model.mechanism.points, simulation.points.shape
+
+    def require_equal(found, expected):
+        np.testing.assert_allclose(found, expected, rtol=0, atol=1e-9 * np.abs(expected).max())
+
+    # By the drives, and by other freedoms, of which the drives are functions.
+    others = [place for place, name in enumerate(names) if name not in independent]
+    others = tuple(names[place] for place in choose_independent(
+        simulation.constraint_jacobian, others))
+    assert not set(others) & set(independent)
+    for chosen, expected in (
+            (simulation.actuated_joints,
+             [one.jacobian(point.name, 'actuated') for point in points]),
+            (others, [model.reduce(state, independent=others).jacobian(point.name)
+                      for point in points])):
+        found = np.zeros((count, size, n))
+        assert call('jacobian', state.q, table_of(names, chosen), found) == 0
+        require_equal(found, np.array(expected))
+    assert call('jacobian', state.q, table_of(names, names), found) == 1
+
+    accelerations, ud = np.zeros((count, size)), rng.normal(size=n)
+    call('accelerations', state.q, state.qd, one.basis @ ud + one.drift, accelerations)
+    for place, point in enumerate(points):
+        jac, drift = one.motion(point.name)
+        require_equal(accelerations[place], jac @ ud + drift)
+        inertia, bias = np.full((size, size), math.nan), np.full(size, math.nan)
+        status = call('operational_space', both, place, inertia, bias)
+        if np.linalg.matrix_rank(jac) < size:
+            assert status == 1 and np.isnan(inertia).all() and np.isnan(bias).all()
+        else:
+            assert status == 0
+            for found, expected in zip((inertia, bias), one.operational_space(point.name)):
+                require_equal(found, expected)
+
+    driven, tau = list(map(names.index, simulation.actuated_joints)), np.ones(len(names))
+    assert call('gravity_compensation', both, tau) == 0
+    require_equal(tau[driven], one.gravity_compensation())
+    assert np.count_nonzero(tau) == np.count_nonzero(tau[driven])
+    stiffness, damping = rng.uniform(10.0, 90.0, (2, n))
+    assert call('computed_torque', both, np.concatenate((wanted.q, wanted.qd)), ud, stiffness,
+                damping, tau) == 0
+    require_equal(tau[driven], one.computed_torque(wanted, stiffness, damping, ud))
+
+
+@compiled
+@pytest.mark.parametrize('angle', (0.0, 1e-10))
+def test_drives_that_do_not_decide_the_motion_are_reported(angle, tmp_path):
+    # A slider that drives its crank, which it cannot move at a dead centre.
+    text = (ROOT / 'config' / 'mechanisms' / 'slider_crank.yaml').read_text()
+    text = text.replace(', actuated: true', '').replace(
+        'angle: 0.0', 'angle: 0.0, actuated: true')
+    (tmp_path / 'pendulum.yaml').write_text(text)
+    (tmp_path / 'scene.yaml').write_text(PENDULUM_SCENE.replace(
+        '{pin: 0.4}', '{crank_joint: 0.9, rod_joint: -1.2, slider_joint: 0.35}'))
+    simulation = simulation_of(tmp_path / 'scene.yaml')
+    (call, _), names = library_of(tmp_path, simulation), simulation.joint_names
+    assert simulation.actuated_joints == ('slider_joint',)
+    state, tau, jac = np.zeros(6), np.ones(3), np.ones((2, 2, 1))
+    state[:3] = angle, -angle / 3.0 - angle, 0.4
+    for name, *arrays in (
+            ('jacobian', table_of(names, ['slider_joint']), jac), ('inverse', np.ones(1), tau),
+            ('gravity_compensation', tau),
+            ('computed_torque', state + 0.1, *np.ones((3, 1)), tau)):
+        assert call(name, state, *arrays) == 1
+    assert (tau == 1.0).all() and (jac == 1.0).all()
+    # The crank does.
+    assert call('jacobian', state, table_of(names, ['crank_joint']), jac) == 0
+    np.testing.assert_allclose(jac[:, :, 0], [[0.0, 0.1], [0.0, 0.0]], rtol=0, atol=1e-10)
 
 
 @compiled

@@ -16,9 +16,10 @@ from .spatial import rigid
 from .vectors import add, cross, dot, in_space, is_zero, scale, subtract, times, ZERO
 from ..types import BALL, COORDINATE, DOF, PARENT, TYPE
 
-# Inputs and outputs beside those of a function table: numbers of points; places and their rates;
-# power that effects dissipate, and that they bring in.
-POINT, PLACE, PLACE_RATE, POWER = 47, 55, 56, 57
+# Inputs and outputs beside those of a function table: numbers of points; places, their rates, and
+# their accelerations where the joint rates stay as they are; power that effects dissipate, and that
+# they bring in.
+POINT, PLACE, PLACE_RATE, POWER, PLACE_BIAS = 47, 55, 56, 57, 58
 
 
 class SceneTrace(MechanismTrace):
@@ -69,7 +70,7 @@ class SceneTrace(MechanismTrace):
             self.outputs.append((ENERGY, place, energy))
 
     def places(self, rows):
-        """Places of points of bodies, and their velocities."""
+        """Places of points of bodies, their velocities, and their accelerations where qdd = 0."""
         self.recursion.outward(self.model, self.q, self.qd, self.work)
         size = len(self.model.gravity)
         points = self.symbols(POINT, (len(rows), size))
@@ -78,8 +79,11 @@ class SceneTrace(MechanismTrace):
             offset = times(motion.frame, in_space(point))
             place = add(motion.origin, offset)
             rate = add(motion.velocity, cross(motion.spin, offset))
-            self.outputs += [(PLACE, n * size + k, place[k]) for k in range(size)]
-            self.outputs += [(PLACE_RATE, n * size + k, rate[k]) for k in range(size)]
+            # Accelerations of bodies begin at that of free fall, upwards.
+            bias = add(add(motion.acceleration, motion.convective_acceleration(offset)),
+                       in_space(self.model.gravity))
+            for output, values in (PLACE, place), (PLACE_RATE, rate), (PLACE_BIAS, bias):
+                self.outputs += [(output, n * size + k, values[k]) for k in range(size)]
 
     def named(self, name):
         return Routine(name, self.graph, self.outputs)
