@@ -13,6 +13,7 @@ gains. It needs closedloop_hardware, ros2_control and ros2_controllers, and a C 
 """
 
 from pathlib import Path
+import shutil
 import subprocess
 from xml.etree import ElementTree
 
@@ -29,7 +30,7 @@ PACKAGE = 'closedloop_dynamics'
 NEEDED = ('closedloop_hardware', 'controller_manager', 'joint_state_broadcaster',
           'joint_trajectory_controller', 'robot_state_publisher')
 BROADCASTER, CONTROLLER = 'joint_state_broadcaster', 'joint_trajectory_controller'
-COMPILER = 'cc -std=c99 -O3 -ffp-contract=fast -march=native -fPIC -shared'
+COMPILER = ('cc', '-std=c99', '-O3', '-ffp-contract=fast', '-march=native', '-fPIC', '-shared')
 ARGUMENTS = (
     ('scene', 'three_rrr', 'the machine, by its name or file'),
     ('update_rate', '500', 'cycles of the controller manager per second [Hz]'),
@@ -59,6 +60,8 @@ def start(context):
         except PackageNotFoundError:
             raise RuntimeError(f"this needs the package '{package}', which is not installed"
                                ) from None
+    if shutil.which(COMPILER[0]) is None:
+        raise RuntimeError(f"this needs a C compiler, called '{COMPILER[0]}': apt install gcc")
     folder = Path(folder).expanduser()
     folder.mkdir(parents=True, exist_ok=True)
     robot = described(scene, sensors.lower() == 'true', folder)
@@ -85,7 +88,7 @@ def described(scene, sensors, folder):
     model, library, description = (
         folder / f'{Path(scene).stem}.{ending}' for ending in ('c', 'so', 'urdf'))
     run(program, 'export', scene, '--output', model, '--overwrite')
-    run(*COMPILER.split(), '-o', library, model, '-lm')
+    run(*COMPILER, '-o', library, model, '-lm')
     run(program, 'urdf', scene, '--hardware', library, *['--sensors'] * sensors, '--output',
         description, '--overwrite')
     return ElementTree.parse(description).getroot()

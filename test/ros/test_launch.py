@@ -12,6 +12,7 @@ import importlib.util
 import json
 from pathlib import Path
 import re
+import shutil
 import subprocess
 import sys
 from types import ModuleType, SimpleNamespace
@@ -287,6 +288,18 @@ def test_pick_and_place_follows_its_path_or_moveit(example):
     assert '<passive_joint' in group.parameters[1]['robot_description_semantic']
 
 
+CONTROL = {'closedloop_hardware', 'controller_manager', 'joint_state_broadcaster',
+           'joint_trajectory_controller', 'robot_state_publisher'}
+
+
+def test_hardware_of_ros2_control_needs_a_compiler(example, tmp_path, monkeypatch):
+    example.installed |= CONTROL
+    monkeypatch.setenv('PATH', str(tmp_path))
+    with pytest.raises(RuntimeError, match="needs a C compiler, called 'cc'"):
+        example.started('ros2_control', folder=str(tmp_path))
+
+
+@pytest.mark.skipif(shutil.which('cc') is None, reason='needs a C compiler, called cc')
 def test_mechanism_is_hardware_of_ros2_control(example, tmp_path):
     program = tmp_path / 'lib' / 'closedloop_dynamics' / 'closedloop'
     program.parent.mkdir(parents=True)
@@ -294,8 +307,7 @@ def test_mechanism_is_hardware_of_ros2_control(example, tmp_path):
     program.chmod(0o755)
     with pytest.raises(RuntimeError, match="needs the package 'closedloop_hardware'"):
         example.started('ros2_control', folder=str(tmp_path))
-    example.installed |= {'closedloop_hardware', 'controller_manager', 'joint_state_broadcaster',
-                          'joint_trajectory_controller', 'robot_state_publisher'}
+    example.installed |= CONTROL
     state, manager, spawner = example.started(
         'ros2_control', folder=str(tmp_path), real_time_factor='2.0', sensors='true')
     robot = ElementTree.fromstring(state.parameters[0]['robot_description'])
