@@ -138,6 +138,7 @@ def test_assemblies_are_listed_drawn_and_started_on(capsys, tmp_path):
     (['--drive', 'crank_joint=0:1:5', '--drive', 'rocker_joint=1'], 'degrees of freedom (1)'),
     (['--drive', 'crank_joint=0:1:5', '--speed', '0'], 'expected a finite number > 0'),
     (['--drive', 'crank_joint=0:1:5', '--branch', '0'], 'expected a whole number from 1 on'),
+    (['--drive', 'coupler_point.x=0:1deg:5'], 'coupler_point.x: expected mm or cm or m'),
     (['--drive', 'crank_joint=0:1mm:5'], 'crank_joint: expected deg or rad, got mm'),
     (['--drive', 'crank_joint=0:1:5', '--picture', 'p.xyz'], 'ends with .png, .pdf, .svg, got p'),
     (['--drive', 'cut_1=0:1:5', '--drive', 'crank_joint=1'], 'which follow from one another'),

@@ -11,12 +11,13 @@ import numpy as np
 from .command import (
     Argument, Command, complain, DRAWING, mapping, OneOf, Output, pair, picture_option, positive,
     READING_OPTIONS, SCENE, scene_to_change, SET, TABLE, UsageError, whole, write_drawing)
+from ..mechanism.coordinates import unit_of
 from ..mechanism.expressions import ANGLES, LENGTHS, UNITS
 from ..recording.cycle import advantages, transmission_extremes
 from ..recording.design import cycle, drive_values, POSES, stops_met
 from ..recording.design_report import drive_shown
 from ..recording.kinematics import (
-    by_name, curves, Drive, drive_axis, DrivenRun, forces, torques)
+    AXES, by_name, curves, Drive, drive_axis, DrivenRun, forces, torques)
 from ..recording.rows import write_scene
 from ..simulation.driven import BranchEndError
 from ..simulation.errors import AssemblyError
@@ -77,12 +78,13 @@ def drives_of(arguments, scene):
 def drives_given(arguments, scene):
     """Return drives with their counts and units, by name; raise UsageError for a wrong unit."""
     given = mapping(arguments.drive, '--drive')
+    mechanism = scene.mechanism
+    points = {f'{point.name}.{axis}' for point in mechanism.points for axis in AXES}
     for name, (*_, units) in given.items():
-        for coordinates in (scene.mechanism.coordinates, scene.mechanism.cut_coordinates):
-            if name in coordinates.names:
-                known = LENGTHS if coordinates.lengths[coordinates.index[name]] else ANGLES
-                for unit in set(units).difference(known):
-                    raise UsageError(f'--drive: {name}: expected {" or ".join(known)}, got {unit}')
+        if name in points.union(mechanism.coordinates.names, mechanism.cut_coordinates.names):
+            known = LENGTHS if unit_of(mechanism, 'position', name) == 'm' else ANGLES
+            for unit in set(units).difference(known):
+                raise UsageError(f'--drive: {name}: expected {" or ".join(known)}, got {unit}')
     return given
 
 
