@@ -13,7 +13,8 @@ import re
 from closedloop_dynamics import load_scene, Model
 from closedloop_dynamics.mechanism.four_bar import four_bar as four_bar_of
 from closedloop_dynamics.recording import cycle, design
-from closedloop_dynamics.recording.kinematics import by_name, Drive, DrivenRun
+from closedloop_dynamics.recording.kinematics import Drive, DrivenRun
+from closedloop_dynamics.recording.quantities import by_name
 from closedloop_dynamics.recording.transmission import transmission_angle
 from closedloop_dynamics.simulation.key_paths import changed, numbers, resolve
 from closedloop_dynamics.simulation.scene import scene_of_yaml

@@ -12,7 +12,7 @@ from .command import (
 from .kinematics import drive_options, driven_run
 from ..mechanism.rotations import in_three
 from ..recording import design
-from ..recording.kinematics import by_name, drive_axis, forces, torques
+from ..recording.quantities import by_name, forces, torques
 from ..recording.rows import write_scene
 from ..visual.progress import announced, progress_to
 from ..visual.tables import short, text_table, write_csv
@@ -43,9 +43,7 @@ def _run(arguments):
                 raise UsageError(f'{label}: {run.end.reason}')
         with progress_to(len(run.time) - 1, 'poses', label) as show:
             runs[label] = run, run.table(show)
-    numbers = {label: design.key_numbers(run, table, torques(run, by_name(table)),
-                                         forces(by_name(table)))
-               for label, (run, table) in runs.items()}
+    numbers = {label: design.key_numbers(run, table) for label, (run, table) in runs.items()}
     header, lines = _differences(numbers)
     print('\n'.join(f'{number}: {label}' for number, label in enumerate(numbers, 1)))
     titles = ['', *map(str, range(1, len(numbers) + 1)), *(
@@ -116,12 +114,12 @@ def _draw(runs, paths, curves):
     title, shown, traced = 'drive torques and joint forces', {}, {}
     labels, planar = set(), True
     for label, (run, table) in runs.items():
-        column, (x, axis) = by_name(table), drive_axis(run)
-        labels.add(axis)
-        for name, torque in torques(run, column).items():
-            shown.setdefault(f'drive {name}\n[N m or N]', {})[label] = x, torque
-        for name, force in forces(column).items():
-            shown.setdefault(f'force {name}\n[N]', {})[label] = x, force
+        column, drive = by_name(table), run.drive.shown
+        labels.add(drive.label)
+        for what, unit, lines in (('drive', 'N m or N', torques(run, column)),
+                                  ('force', 'N', forces(column))):
+            for name, one in lines.items():
+                shown.setdefault(f'{what} {name}\n[{unit}]', {})[label] = drive.values, one.values
         mechanism = run.mechanism
         planar = planar and mechanism.planar
         traced[label] = named_paths(mechanism, run.position)

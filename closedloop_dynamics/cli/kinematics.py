@@ -6,18 +6,15 @@
 from argparse import ArgumentTypeError
 import math
 
-import numpy as np
-
 from .command import (
     Argument, Command, complain, DRAWING, mapping, OneOf, Output, pair, picture_option, positive,
     READING_OPTIONS, SCENE, scene_to_change, SET, TABLE, UsageError, whole, write_drawing)
 from ..mechanism.coordinates import unit_of
 from ..mechanism.expressions import ANGLES, LENGTHS, UNITS
 from ..recording.cycle import advantages, transmission_extremes
-from ..recording.design import cycle, drive_values, POSES, stops_met
-from ..recording.design_report import drive_shown
-from ..recording.kinematics import (
-    AXES, by_name, curves, Drive, drive_axis, DrivenRun, forces, torques)
+from ..recording.design import cycle, POSES, stops_met
+from ..recording.kinematics import AXES, Drive, DrivenRun
+from ..recording.quantities import by_name, curves, forces, Quantity, torques
 from ..recording.rows import write_scene
 from ..simulation.driven import BranchEndError
 from ..simulation.errors import AssemblyError
@@ -170,18 +167,19 @@ def _run(arguments):
 
 def summary(run, table):
     """Return the largest torques and forces of a driven run, with their places, as text."""
-    column, (name, values), at = by_name(table), drive_values(run), drive_shown(run)
-    lines = [f'{run.scene.name}: {len(run.time)} poses, {name} from {at(values[0])} to '
-             f'{at(values[-1])} in {run.time[-1]:.6g} s; loops closed to '
+    column, drive, at = by_name(table), run.drive, run.drive.text
+    name = drive.name
+    lines = [f'{run.scene.name}: {len(run.time)} poses, {name} from {at(drive.values[0])} to '
+             f'{at(drive.values[-1])} in {run.time[-1]:.6g} s; loops closed to '
              f'{column["closure"].max():.2g} m or rad']
     for what, torque in torques(run, column).items():
-        place = int(np.abs(torque).argmax())
-        lines.append(f'  torque    {what}: at most {torque[place]:.6g} N m or N at {name} = '
-                     f'{at(values[place])}, rms {np.sqrt(np.mean(torque ** 2)):.6g}')
+        most = torque.largest(drive)
+        lines.append(f'  torque    {what}: at most {most.value:.6g} N m or N at {name} = '
+                     f'{at(most.drive)}, rms {torque.rms:.6g}')
     for what, force in forces(column).items():
-        place = int(force.argmax())
-        lines.append(f'  force     {what}: at most {force[place]:.6g} N at {name} = '
-                     f'{at(values[place])}')
+        most = force.extreme(drive)
+        lines.append(f'  force     {what}: at most {most.value:.6g} N at {name} = '
+                     f'{at(most.drive)}')
     for (what, joint), most in stops_met(run, table).items():
         lines.append(f'  end stop  {what}: {joint} goes beyond it by at most {most.value:.6g} '
                      f'at {name} = {at(most.drive)}')
@@ -198,10 +196,10 @@ def summary(run, table):
 def _draw(arguments, run, table):
     # Only here, as it takes long to load.
     from ..visual.pictures import over_drive
-    values, label = drive_axis(run) if arguments.over == 'drive' else (run.time, 'time [s]')
-    shown = {quantity: {name: (values, each) for name, each in lines.items()}
+    over = run.drive.shown if arguments.over == 'drive' else Quantity('time', 's', run.time)
+    shown = {quantity: {name: (over.values, each) for name, each in lines.items()}
              for quantity, lines in curves(run, table).items()}
-    over_drive(shown, label, f'{run.scene.name}: driven').savefig(arguments.picture)
+    over_drive(shown, over.label, f'{run.scene.name}: driven').savefig(arguments.picture)
 
 
 def drive_options(default=''):

@@ -8,7 +8,8 @@ from typing import Dict, List, NamedTuple, Tuple
 
 import numpy as np
 
-from .design import drive_values, Extreme, TURN
+from .design import TURN
+from .quantities import Extreme
 from .transmission import transmission_angle
 from ..mechanism.mechanism import GROUND
 
@@ -54,7 +55,7 @@ def transmission_extremes(run) -> Tuple[Extreme, ...]:
     In a four-bar linkage there are two in a turn. Solved between the poses; none where nothing
     pushes an output link (``transmission.transmission_angle``).
     """
-    name, drive = drive_values(run)
+    name = run.drive.name
 
     def angle(position, _):
         return transmission_angle(run.mechanism, np.atleast_2d(position), name)
@@ -78,7 +79,7 @@ def transmission_extremes(run) -> Tuple[Extreme, ...]:
 
 def advantages(run) -> Dict[str, Advantage]:
     """Return the mechanical advantage of each output joint of the tree, by name."""
-    name, drive = drive_values(run)
+    drive = run.drive.values
     speed = (drive[-1] - drive[0]) / run.time[-1]
     found = {}
     for output, (is_cut, k) in output_joints(run).items():
@@ -131,7 +132,7 @@ def load_spectrum(force) -> List[Tuple[float, float, float]]:
 
 def _is_turn(run):
     """Return whether the drive makes a whole turn."""
-    _, drive = drive_values(run)
+    drive = run.drive.values
     return run.end is None and abs(abs(drive[-1] - drive[0]) - TURN) < RETURNED
 
 

@@ -8,10 +8,12 @@ from typing import Dict, NamedTuple, Tuple
 
 import numpy as np
 
-from .kinematics import by_name, Drive, DrivenRun, SECOND
+from .kinematics import Drive, DrivenRun
+from .quantities import by_name, Extreme, forces, moved, Quantity, torques
 from .transmission import transmission_angle
 from ..effects.end_stop import EndStop
 from ..mechanism.coordinates import unit_of
+from ..mechanism.differences import derivative, FIRST_6
 from ..mechanism.inertia import second_moments
 from ..mechanism.kinematics import body_poses, named_point, pose_of, world_points
 from ..mechanism.mechanism import REVOLUTE
@@ -26,8 +28,7 @@ TURN = 2.0 * math.pi
 POSES, SHORT_OF_LIMIT = 361, 0.01
 # Share of its stroke within which an output dwells.
 DWELL = 0.01
-# Differences of the sixth order: weights by steps, and the step as a share of a length.
-STENCIL = {-3: -1 / 60, -2: 3 / 20, -1: -3 / 4, 1: 3 / 4, 2: -3 / 20, 3: 1 / 60}
+# Of differences: the step as a share of a length.
 STENCIL_STEP = 1e-2
 # Below this share singular values are zero; above the other one closure equations contradict one
 # another.
@@ -41,13 +42,6 @@ KINDS = {'length': ('position', 'point_a', 'point_b', 'length'), 'lead': ('lead'
          'ratio': ('joints', 'offset')}
 TOLERANCES = {'length': ('m', 1e-4), 'lead': ('m/rad', 1e-6), 'angle': ('rad', 1e-3),
               'ratio': ('1', 0.0)}
-
-
-class Extreme(NamedTuple):
-    """A number, and the value of the drive at which it is taken."""
-
-    value: float
-    drive: float
 
 
 class Output(NamedTuple):
@@ -95,44 +89,24 @@ def degrees_of_freedom(scene, position):
     return Assembler(mechanism, Geometry(mechanism).equations).degrees_of_freedom(position)
 
 
-def drive_values(run):
-    """Return the name and the values of the first drive that moves."""
-    return next((name, values) for name, values in run.driven.items()
-                if len(values) < 2 or np.ptp(values) > 0.0)
-
-
-def extreme(values, drive, pick=np.argmax):
-    """Return the largest of some values, by default, with its place."""
-    place = int(pick(values))
-    return Extreme(float(values[place]), float(drive[place]))
-
-
 def outputs(run, table) -> Dict[str, Output]:
     """Return how all joints but the drives, and all points, move."""
-    column = by_name(table)
-    _, drive = drive_values(run)
-    names = [name for name in column if name.startswith(('position.', 'point.'))
-             and name.partition('.')[2] not in run.driven]
-    found = {}
-    for name in names:
-        values = column[name]
-        found[name.removeprefix('position.')] = Output(
-            extreme(values, drive, np.argmin), extreme(values, drive), _dwell(values, drive),
-            _time_ratio(values, drive))
-    return found
+    drive = run.drive
+    return {what: Output(
+        one.extreme(drive, np.argmin), one.extreme(drive), _dwell(one.values, drive.values),
+        _time_ratio(one.values, drive.values)) for what, one in moved(run, by_name(table)).items()}
 
 
 def stops_met(run, table) -> Dict[Tuple[str, str], Extreme]:
     """Return how far joints go beyond their end stops, where they do, by stop and joint."""
-    column, (_, drive) = by_name(table), drive_values(run)
-    found = {}
+    column, found = by_name(table), {}
     for name, stop in run.scene.effects.items():
         values = column.get(f'position.{stop.joint}') if isinstance(stop, EndStop) else None
         if values is not None:
             depth = np.maximum(values - (math.inf if stop.upper is None else stop.upper),
                                (-math.inf if stop.lower is None else stop.lower) - values)
             if depth.max() > 0.0:
-                found[name, stop.joint] = extreme(depth, drive)
+                found[name, stop.joint] = Quantity(name, '', depth).extreme(run.drive)
     return found
 
 
@@ -182,18 +156,20 @@ def shaking(run):
         return np.concatenate([world_points(pose_of(mechanism, poses, name), points)
                                for name, _, points in bodies], axis=1)
 
-    places, step = run.along(places_of)
-    acceleration = np.tensordot(SECOND / step ** 2, places, 1)
+    places, _, acceleration = run.rates(places_of)
     force = -mass[:, np.newaxis] * acceleration
     if not mechanism.planar:
-        return force.sum(axis=1), np.cross(places[2], force).sum(axis=1)
-    (x, y), (fx, fy) = (np.moveaxis(each, -1, 0) for each in (places[2], force))
+        return force.sum(axis=1), np.cross(places, force).sum(axis=1)
+    (x, y), (fx, fy) = (np.moveaxis(each, -1, 0) for each in (places, force))
     return force.sum(axis=1), (x * fy - y * fx).sum(axis=1)
 
 
-def signed_or_size(moment):
-    """Return the moments of ``shaking`` in the plane, and their magnitudes in space, (n,)."""
-    return moment if moment.ndim == 1 else np.linalg.norm(moment, axis=1)
+def shaking_sizes(run):
+    """Return the magnitudes of ``shaking``; in the plane the moment has its sign."""
+    force, moment = shaking(run)
+    return (Quantity('force', 'N', np.linalg.norm(force, axis=1)),
+            Quantity('moment about the origin', 'N m',
+                     moment if moment.ndim == 1 else np.linalg.norm(moment, axis=1)))
 
 
 def _point_masses(body, size):
@@ -210,30 +186,25 @@ def _point_masses(body, size):
     return np.append(pairs, body.mass - pairs.sum()), np.vstack([center + ends, center])
 
 
-def key_numbers(run, table, torques, forces) -> Dict[str, float]:
+def key_numbers(run, table) -> Dict[str, float]:
     """
     Return the numbers by which machines are compared, by name with their units.
 
-    ``table`` is that of ``run.table``; ``torques`` of the drives and ``forces`` in the joints are
-    by name, shape (n,).
+    ``table`` is that of ``run.table``.
     """
-    name, _ = drive_values(run)
-    found = {}
-    for what, one in outputs(run, table).items():
-        unit = unit_of(run.mechanism, 'position', what)
-        found[f'stroke {what} [{unit}]'] = one.most.value - one.least.value
-    angle = transmission_angle(run.mechanism, run.position, name)
+    column, found = by_name(table), {}
+    for one in moved(run, column).values():
+        found[f'stroke {one.label}'] = float(one.values.max()) - float(one.values.min())
+    angle = transmission_angle(run.mechanism, run.position, run.drive.name)
     if angle is not None:
         found['least transmission angle [deg]'] = math.degrees(angle.min())
-    for what, torque in torques.items():
-        unit = unit_of(run.mechanism, 'effort', what)
-        found[f'largest torque or force {what} [{unit}]'] = float(np.abs(torque).max())
-        found[f'rms {what} [{unit}]'] = float(np.sqrt(np.mean(torque ** 2)))
-    for what, force in forces.items():
-        found[f'largest force {what} [N]'] = float(force.max())
-    force, moment = shaking(run)
-    found['largest shaking force [N]'] = float(np.linalg.norm(force, axis=1).max())
-    found['largest shaking moment [N m]'] = float(np.abs(signed_or_size(moment)).max())
+    for torque in torques(run, column).values():
+        found[f'largest torque or force {torque.label}'] = float(np.abs(torque.values).max())
+        found[f'rms {torque.label}'] = torque.rms
+    for force in forces(column).values():
+        found[f'largest force {force.label}'] = float(force.values.max())
+    for what, one in zip(('force', 'moment'), shaking_sizes(run)):
+        found[f'largest shaking {what} [{one.unit}]'] = float(np.abs(one.values).max())
     return found
 
 
@@ -357,21 +328,18 @@ def sensitivity(scene, run, keys, numbers_of=output_numbers) -> Sensitivity:
         path = resolve(scene, key)
         value = known['.'.join(path)]
         step = STENCIL_STEP * max(abs(value), 1e-3)
-        others = [changed(scene, {path: value + k * step}).mechanism for k in STENCIL]
+        others = [changed(scene, {path: value + k * step}).mechanism for k in FIRST_6]
         # A named point is on no loop.
-        psi = np.zeros(jacobians.shape[:2]) if path[:2] == ('mechanism', 'points') else sum(
-            weight * _closures(other, run.position)
-            for weight, other in zip(STENCIL.values(), others)) / step
+        psi = np.zeros(jacobians.shape[:2]) if path[:2] == ('mechanism', 'points') else derivative(
+            FIRST_6, step, (_closures(other, run.position) for other in others))
         change = np.zeros((len(run.position), coordinates.nv))
         change[:, free] = -np.einsum('nij,nj->ni', inverses, psi)
         left = psi + np.einsum('nij,nj->ni', jacobians, change[:, free])
         if np.abs(left).max(initial=0.0) > OPENS * max(1.0, np.abs(psi).max(initial=0.0)):
             raise ValueError(f'{key}: no position closes the loops at another length')
-        values = sum(
-            weight * numbers_of(
-                other, coordinates.moved(run.position, k * step * change), run.driven)[1]
-            for (k, weight), other in zip(STENCIL.items(), others)) / step
-        found.append(values)
+        found.append(derivative(FIRST_6, step, (numbers_of(
+            other, coordinates.moved(run.position, k * step * change), run.driven)[1]
+            for k, other in zip(FIRST_6, others))))
     return Sensitivity(tuple(keys), tuple(names), np.stack(found, axis=2))
 
 

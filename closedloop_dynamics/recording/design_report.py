@@ -14,7 +14,8 @@ import numpy as np
 
 from . import design
 from .cycle import advantages, load_spectrum, opened, transmission_extremes
-from .kinematics import by_name, curves, drive_axis, forces, torques
+from .quantities import (
+    by_name, coordinate, curves, force_parts, forces, moved, Quantity, torques)
 from .transmission import transmission_angle
 from ..mechanism.coordinates import unit_of
 from ..mechanism.extras import remedy
@@ -124,23 +125,21 @@ def _write_document(path, page):
 
 def _sections(scene, run, table, tolerances, spent):
     """Return title, rows of a table with its header, and pictures or notes, of each section."""
-    column = by_name(table)
-    name, values = design.drive_values(run)
-    at = drive_shown(run)
-    outputs = design.outputs(run, table)
+    column, name, at = by_name(table), run.drive.name, run.drive.text
     found = [_mechanism(scene, run, table, at)]
     found.append(('Motion', [
         ('', 'minimum', 'at', 'maximum', 'at', 'stroke', 'dwell', 'time ratio'),
         *((what, shown(one.least.value), at(one.least.drive), shown(one.most.value),
            at(one.most.drive), shown(one.most.value - one.least.value), at(one.dwell),
            '-' if math.isnan(one.time_ratio) else f'{one.time_ratio:.4g}')
-          for what, one in outputs.items() for shown in [_shown(run, what)])],
+          for what, one in design.outputs(run, table).items()
+          for shown in [coordinate(run.mechanism, what).text])],
         [f'<p class="note">Joints and points over {escape(name)}. Dwell: the '
          'longest part of the drive over which a quantity stays within '
          f'{design.DWELL:.0%} of its stroke. Time ratio: of the slower stroke to the quicker '
-         'one over a whole turn.</p>', _timing(run, column, outputs)]))
+         'one over a whole turn.</p>', _timing(run, column)]))
     found += _transmission(run, at)
-    found += _loads(run, column, values, at)
+    found += _loads(run, column, at)
     found.append(_tolerances(tolerances, scene, run))
     found.append(('Accuracy', [
         ('', ''), ('largest closure error', f'{column["closure"].max():.2g} m or rad'),
@@ -152,7 +151,7 @@ def _sections(scene, run, table, tolerances, spent):
 
 
 def _mechanism(scene, run, table, at):
-    name, _ = design.drive_values(run)
+    name = run.drive.name
     joint = name if name in scene.mechanism.coordinates.names else None
     freedoms = str(design.degrees_of_freedom(scene, run.position[0]))
     if run.idle:
@@ -179,7 +178,7 @@ def _mechanism(scene, run, table, at):
     away = opened(run)
     if away:
         rows.append(('cycle', 'none: after a turn of its drive the linkage does not return ('
-                     + ', '.join(f'{what} by {_shown(run, what)(value)}'
+                     + ', '.join(f'{what} by {coordinate(run.mechanism, what).text(value)}'
                                  for what, value in away.items())
                      + '); work, strokes and time ratios are those of one turn'))
     return 'Mechanism', rows, _pictures(run, table)
@@ -206,24 +205,23 @@ def _transmission(run, at):
 def _per(run, output):
     """Return the unit of the advantage of an output."""
     units = [unit_of(run.mechanism, 'effort', name)
-             for name in (output, design.drive_values(run)[0])]
+             for name in (output, run.drive.name)]
     return '' if units[0] == units[1] else f' {units[0]} per {units[1]}'
 
 
-def _loads(run, column, values, at):
+def _loads(run, column, at):
     from scipy.integrate import trapezoid
     exerted, power = torques(run, column), 0.0
     rows = [('', 'largest', 'at', 'rms', 'largest power [W]', 'at')]
     for what, torque in exerted.items():
         rate = column[f'velocity.{what}'] if f'velocity.{what}' in column else (
             np.ptp(run.driven[what]) / run.time[-1] * np.sign(
-                run.driven[what][-1] - run.driven[what][0]) * np.ones_like(torque))
-        power = power + torque * rate
-        largest = design.extreme(torque, values, lambda one: np.argmax(np.abs(one)))
-        fastest = design.extreme(torque * rate, values, lambda one: np.argmax(np.abs(one)))
-        unit = unit_of(run.mechanism, 'effort', what)
-        rows.append((what, f'{largest.value:z.6g} {unit}', at(largest.drive),
-                     f'{_rms(torque, run.time):.6g} {unit}', f'{fastest.value:z.6g}',
+                run.driven[what][-1] - run.driven[what][0]) * np.ones_like(torque.values))
+        own = Quantity(what, 'W', torque.values * rate)
+        power = power + own.values
+        largest, fastest = torque.largest(run.drive), own.largest(run.drive)
+        rows.append((what, f'{largest.value:z.6g} {torque.unit}', at(largest.drive),
+                     f'{_rms(torque, run.time):.6g} {torque.unit}', f'{fastest.value:z.6g}',
                      at(fastest.drive)))
     yield 'Drive', rows, []
     if exerted:
@@ -234,20 +232,17 @@ def _loads(run, column, values, at):
         yield 'Energy', [
             ('', '[J]'), *((what, f'{work if abs(work) > ROUNDING * most else 0.0:z.6g}')
                            for what, work in works.items())], []
-    sizes = forces(column)
     yield 'Forces in the joints', [
         ('', 'largest [N]', 'at', 'load spectrum: ranges [N] x cycles'), *(
-            (what, f'{one.value:.6g}', at(one.drive), _spectrum(force))
-            for what, force in sizes.items() for one in [design.extreme(force, values)])], [
+            (what, f'{one.value:.6g}', at(one.drive), _spectrum(force.values))
+            for what, force in forces(column).items() for one in [force.extreme(run.drive)])], [
         '<p class="note">Load spectrum: ranges of the magnitude over the drive by rainflow '
         f'counting (ASTM E1049), the {RANGES} largest.</p>', _hodographs(run, column)]
-    force, moment = design.shaking(run)
-    size = np.linalg.norm(force, axis=1)
     rows = [('', 'largest', 'at', 'rms')]
-    for what, each in (('force [N]', size),
-                       ('moment about the origin [N m]', design.signed_or_size(moment))):
-        one = design.extreme(each, values, lambda one: np.argmax(np.abs(one)))
-        rows.append((what, f'{one.value:z.6g}', at(one.drive), f'{_rms(each, run.time):.6g}'))
+    for each in design.shaking_sizes(run):
+        one = each.largest(run.drive)
+        rows.append((each.label, f'{one.value:z.6g}', at(one.drive),
+                     f'{_rms(each, run.time):.6g}'))
     yield 'Shaking force and moment', rows, [
         '<p class="note">Force and moment of the bodies\' inertia on the ground, without weights '
         'and other forces.</p>']
@@ -272,9 +267,8 @@ def _tolerances(tolerances, scene, run):
     except ValueError as error:
         return title, [('', '')], [f'<p class="note">Not computed: {escape(str(error))}.</p>']
     # Angles as a designer reads them.
-    turned = np.array([180.0 / math.pi if _shown(run, what)(1.0).endswith('deg') else 1.0
-                       for what in found.outputs])
-    units = ['deg' if scale > 1.0 else 'm' for scale in turned]
+    ones = [coordinate(run.mechanism, what, 1.0).shown for what in found.outputs]
+    turned, units = np.array([one.values for one in ones]), [one.unit for one in ones]
     most = np.abs(found.derivatives).max(axis=0) * turned[:, np.newaxis]
     shown = [k for k in range(len(keys)) if most[:, k].max() > 0.0]
     # Of many lengths, several tables below one another: a page is only so wide.
@@ -297,61 +291,38 @@ def _tolerances(tolerances, scene, run):
         'largest change over the drive with each number [deg or m per its unit].</p>', *tables]
 
 
-def _rms(values, times):
+def _rms(one, times):
     from scipy.integrate import trapezoid
-    return math.sqrt(trapezoid(values ** 2, times) / (times[-1] - times[0]))
+    return math.sqrt(trapezoid(one.values ** 2, times) / (times[-1] - times[0]))
 
 
-def _shown(run, what):
-    """Return the function that writes a value of a joint or point, in degrees where it turns."""
-    if unit_of(run.mechanism, 'position', what) == 'm':
-        return lambda value: f'{value:.6g} m'
-    return lambda value: f'{math.degrees(value):.6g} deg'
-
-
-def drive_shown(run):
-    """Return the function that writes a drive's value, in degrees where it turns."""
-    _, label = drive_axis(run)
-    if label.endswith('[deg]'):
-        return lambda value: f'{math.degrees(value):.6g} deg'
-    return lambda value: f'{value:.6g} m'
-
-
-def _timing(run, column, outputs):
+def _timing(run, column):
     """Return a timing chart: each output between its ends over the drive."""
     from ..visual import pictures
-    values, label = drive_axis(run)
-    lines = {}
-    for what in outputs:
-        each = column[what if what.startswith('point.') else f'position.{what}']
-        unit = _shown(run, what)(0.0).split()[1]
-        lines[f'{what} [{unit}]'] = np.degrees(each) if unit == 'deg' else each
+    drive, lines = run.drive.shown, [one.shown for one in moved(run, column).values()]
     return _image(pictures.timing_chart(
-        {what: (values, each) for what, each in lines.items() if np.ptp(each) > 0.0}, label,
-        f'{run.scene.name}: timing'), 'timing chart')
+        {one.label: (drive.values, one.values) for one in lines if np.ptp(one.values) > 0.0},
+        drive.label, f'{run.scene.name}: timing'), 'timing chart')
 
 
 def _hodographs(run, column):
     """Return the curves of the forces in all joints, in the plane x over y."""
     from ..visual import pictures
-    parts = {what: tuple(column[f'force.{what}.{axis}'] for axis in 'xyz'
-                         if f'force.{what}.{axis}' in column) for what in forces(column)}
-    return _image(pictures.hodographs(parts, f'{run.scene.name}: hodographs of the forces'),
-                  'hodographs')
+    return _image(pictures.hodographs(
+        force_parts(column), f'{run.scene.name}: hodographs of the forces'), 'hodographs')
 
 
 def _pictures(run, table):
     # Only here, as it takes long to load.
     from ..visual import pictures
-    values, label = drive_axis(run)
-    title = run.scene.name
-    shown = {quantity: {name: (values, each) for name, each in lines.items()}
+    drive, title = run.drive.shown, run.scene.name
+    shown = {quantity: {name: (drive.values, each) for name, each in lines.items()}
              for quantity, lines in curves(run, table).items()}
-    angle = transmission_angle(run.mechanism, run.position, design.drive_values(run)[0])
+    angle = transmission_angle(run.mechanism, run.position, run.drive.name)
     if angle is not None:
-        shown['transmission angle [deg]'] = {'least of all': (values, np.degrees(angle))}
+        shown['transmission angle [deg]'] = {'least of all': (drive.values, np.degrees(angle))}
     return [_image(pictures.positions(from_rows(run.mechanism, *table), title), 'positions'),
-            _image(pictures.over_drive(shown, label, f'{title}: over the drive'), 'curves')]
+            _image(pictures.over_drive(shown, drive.label, f'{title}: over the drive'), 'curves')]
 
 
 def _image(figure, name):

@@ -4,13 +4,14 @@
 """Motion, drive torques and joint forces of a mechanism that is driven at constant rates."""
 
 from dataclasses import replace
-from typing import Dict, NamedTuple
+from typing import NamedTuple
 
 import numpy as np
 
+from .quantities import coordinate
 from .run import headings, row
 from ..effects.prescribed_motion import PrescribedMotion
-from ..mechanism.coordinates import QUANTITIES, unit_of
+from ..mechanism.differences import FIRST_4, SECOND_4
 from ..mechanism.fields import at, FieldError
 from ..mechanism.kinematics import named_paths
 from ..simulation.assemblies import find_assemblies
@@ -21,15 +22,11 @@ from ..simulation.geometry import Geometry
 from ..simulation.model import Model
 from ..simulation.motions import with_motions
 from ..simulation.second_order import scene_as_it_moves
-from ..visual.trajectory import without_marks
 
 # Behind the dot of a driven point.
 AXES = 'xyz'
-# Displacement in a step of the differences by which points and masses accelerate [rad, m], and
-# the differences' weights.
+# Displacement in a step of the differences by which points and masses accelerate [rad, m].
 STEP = 1e-2
-FIRST, SECOND = (np.array(weights) / 12.0 for weights in (
-    (1.0, -8.0, 0.0, 8.0, -1.0), (-1.0, 16.0, -30.0, 16.0, -1.0)))
 
 
 class Drive(NamedTuple):
@@ -133,6 +130,13 @@ class DrivenRun:
                           for drive in self._drives.values()]
         return values
 
+    @property
+    def drive(self):
+        """Return the first drive that moves, a ``Quantity``."""
+        return next(coordinate(self.mechanism, name, values)
+                    for name, values in self.driven.items()
+                    if len(values) < 2 or np.ptp(values) > 0.0)
+
     def drive_at(self, share):
         """Return the value of the first drive that moves at a share of the way [rad or m]."""
         drive = next(drive for drive in self._drives.values() if drive.end != drive.start)
@@ -180,27 +184,30 @@ class DrivenRun:
         """Return names and columns of velocities and accelerations of the named points."""
         names, columns = [], np.zeros((len(self.time), 0))
         none = np.zeros((len(self.time), 0))
-        places, step = self.along(lambda position: np.concatenate(
+        rates = self.rates(lambda position: np.concatenate(
             [*named_paths(self.mechanism, position).values(), none], axis=1))
-        for what, weights in (('velocity', FIRST / step), ('acceleration', SECOND / step ** 2)):
+        for what, values in zip(('velocity', 'acceleration'), rates[1:]):
             names += [f'point_{what}.{point.name}.{axis}' for point in self.mechanism.points
                       for axis in AXES[:len(point.position)]]
-            columns = np.hstack([columns, np.tensordot(weights, places, 1)])
+            columns = np.hstack([columns, values])
         return names, columns
 
-    def along(self, of):
+    def rates(self, of):
         """
-        Return a quantity of positions at five times about each pose, and what is between [s].
+        Return a quantity of positions at all poses, and its first and second time derivatives.
 
-        ``of`` takes positions, shape (n, nq); with ``FIRST`` and ``SECOND`` as weights these are
-        its derivatives, to the fourth order of a step that is short for the motion.
+        ``of`` takes positions, shape (n, nq). The derivatives are differences of the fourth order,
+        of a step that is short for the motion.
         """
         fastest = np.abs(self.velocity).max()
         step = STEP / max(fastest, np.sqrt(np.abs(self.acceleration).max()), 1e-12)
         coordinates = self.mechanism.coordinates
-        return np.array([of(coordinates.moved(
+        around = np.array([of(coordinates.moved(
             self.position, n * step * self.velocity + 0.5 * (n * step) ** 2 * self.acceleration))
-            for n in range(-2, 3)]), step
+            for n in SECOND_4])
+        return around[list(SECOND_4).index(0)], *(np.tensordot(
+            [stencil.get(n, 0.0) / step ** order for n in SECOND_4], around, 1)
+            for order, stencil in ((1, FIRST_4), (2, SECOND_4)))
 
 
 def assemblies(scene, drives):
@@ -239,57 +246,6 @@ def _assembly(mechanism, start, values, number):
     if not 1 <= number <= len(found.positions):
         raise ValueError(f'branch: expected the number of an assembly, got {number} of {found}')
     return found.positions[number - 1]
-
-
-def by_name(table) -> Dict[str, np.ndarray]:
-    """Return the columns of ``DrivenRun.table`` by name."""
-    names, rows = table
-    return dict(zip(without_marks(names), rows.T))
-
-
-def torques(run, column):
-    """Return the drives' efforts, by joint or driven coordinate, shape (n,) [N m or N]."""
-    if run.mechanism.motions:
-        return {name: column[f'motion.{motion.name}.force'] for name, motion in zip(
-            run.driven, run.mechanism.motions)}
-    return {name: column[f'effort.{name}'] for name in run.mechanism.actuated_joints}
-
-
-def forces(column):
-    """Return the magnitudes of the forces in all joints, by name, shape (n,) [N]."""
-    names = dict.fromkeys(name.split('.', 1)[1].rpartition('.')[0] for name in column
-                          if name.startswith('force.'))
-    return {name: np.linalg.norm([column[f'force.{name}.{axis}'] for axis in 'xyz'
-                                  if f'force.{name}.{axis}' in column], axis=0) for name in names}
-
-
-def curves(run, table):
-    """Return the curves over the drive, by quantity and name, each shape (n,)."""
-    column, coordinates = by_name(table), run.mechanism.coordinates
-    found = {}
-    for quantity in ('position', 'velocity', 'acceleration'):
-        for unit in QUANTITIES[quantity]:
-            shown = {name: column[f'{quantity}.{name}'] for name, own in zip(
-                coordinates.names, coordinates.units(quantity))
-                if own == unit and f'{quantity}.{name}' in column}
-            if shown and 'rad' in unit:
-                # As a designer reads them.
-                unit = unit.replace('rad', 'deg')
-                shown = {name: np.degrees(each) for name, each in shown.items()}
-            if shown:
-                found[f'{quantity} [{unit}]'] = shown
-    found['drive torque [N m], force [N]'] = torques(run, column)
-    found['joint force [N]'] = forces(column)
-    return found
-
-
-def drive_axis(run):
-    """Return the values of the first drive that moves, in degrees or metres, and their label."""
-    name, values = next((name, values) for name, values in run.driven.items()
-                        if len(values) < 2 or np.ptp(values) > 0.0)
-    if unit_of(run.mechanism, 'position', name) == 'm':
-        return values, f'{name} [m]'
-    return np.degrees(values), f'{name} [deg]'
 
 
 def _is_freedom(scene, name):

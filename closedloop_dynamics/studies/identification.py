@@ -36,6 +36,7 @@ from ..effects.element import OWN
 from ..effects.force_law import FRICTION
 from ..effects.registry import effect_type
 from ..engine import native
+from ..mechanism.differences import FIRST_4, FORWARD_4, nodes
 from ..mechanism.fields import among, FieldError
 from ..mechanism.mechanism import MechanismError
 from ..simulation.data import Data
@@ -56,10 +57,8 @@ IDENTIFIED = 0.1
 CONFIDENCE = 0.95
 # Weights are found again so many times; no standard deviation is below this share of the torques.
 WEIGHTINGS, LEAST_DEVIATION = 3, 1e-12
-# Differences by a number: the step, as a share of the number, and weights by steps.
-STEP = 1e-3
-CENTRAL = {-2: 1 / 12, -1: -8 / 12, 1: 8 / 12, 2: -1 / 12}
-FORWARD = {0: -25 / 12, 1: 4.0, 2: -3.0, 3: 4 / 3, 4: -1 / 4}
+# Differences by a number: the step, as a share of it; forward ones at the end of its range.
+STEP, TRIED = 1e-3, ((FIRST_4, 1.0), (FORWARD_4, 1.0))
 # Least squares end where numbers change by less than this share; evaluations of them at most.
 CONVERGED, MOST_EVALUATIONS = 1e-13, 200
 # Joints further from where they were seen are on another branch [rad, or of the size].
@@ -405,22 +404,13 @@ class Identifier:
     def _slopes(self, values, parameters):
         """Return the derivatives of the torques by the nonlinear numbers, (n, d, numbers)."""
         along, found = self._at(values), []
-
-        def torques(change):
-            return self._torques(along.of(self._scene_of(values + change), [key]), parameters)
-
         for key, unit, step in zip(
                 self._nonlinear, np.eye(len(values)),
                 STEP * np.maximum(self._scales, np.abs(values))):
-            for weights in (CENTRAL, FORWARD):
-                try:
-                    found.append(sum(weight / step * torques(steps * step * unit)
-                                     for steps, weight in weights.items()))
-                    break
-                except (FieldError, MechanismError):
-                    # A number at the end of its range.
-                    if weights is FORWARD:
-                        raise
+            found.append(sum(weight * torques for weight, torques in nodes(
+                lambda change, key=key, unit=unit: self._torques(along.of(
+                    self._scene_of(values + change * unit), [key]), parameters),
+                step, TRIED, (FieldError, MechanismError))))
         return np.stack(found, axis=2)
 
     def _torques(self, along, parameters):

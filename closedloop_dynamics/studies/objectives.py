@@ -18,11 +18,12 @@ import re
 
 import numpy as np
 
-from .quantities import Infeasible, names_of
+from .quantities import Infeasible, quantities_of
 from .slopes import (
     deviation, distance_parts, ON_SLOPES, Slope, squared_parts, TAKES)
 from ..mechanism.expressions import CONSTANTS, parsed, value_of, without_units
 from ..mechanism.fields import among, at, FieldError, nearest, shown
+from ..simulation.key_paths import numbers
 
 EXPECTED = 'an expression of quantities of the driven machine'
 _DISTANCE = re.compile(r'(distance\(\s*[A-Za-z]\w*\s*,)\s*([^,()]+?)\s*\)')
@@ -64,7 +65,7 @@ class Expression:
         root = parsed(written)
         if root is None:
             raise FieldError(EXPECTED, shown(text))
-        quantities, known = names_of(scene, drives)
+        quantities, known = quantities_of(scene.mechanism, drives), numbers(scene)
         for word in _words(root):
             self._name(word, quantities, known)
         self._written = written

@@ -13,15 +13,17 @@ polynomials, these are exact but for rounding.
 
 from dataclasses import dataclass, replace
 from functools import reduce
-from typing import Dict, NamedTuple, Optional
+from typing import Callable, Dict, NamedTuple, Optional
 
 import numpy as np
 
 from .slopes import Magnitude, ON_SLOPES, Path, Slope
-from ..mechanism.fields import among, FieldError, nearest, shown
+from ..mechanism.differences import derivative, FIRST_6, FORWARD_6, nodes
+from ..mechanism.fields import FieldError
 from ..mechanism.mechanism import MechanismError
 from ..recording import design
-from ..recording.kinematics import by_name, Drive, DrivenRun, torques
+from ..recording.kinematics import Drive, DrivenRun
+from ..recording.quantities import by_name, torques
 from ..recording.transmission import transmission_parts
 from ..simulation.errors import SimulationError
 from ..simulation.key_paths import changed, numbers, resolve
@@ -30,9 +32,8 @@ TRANSMISSION, SHAKING_FORCE, SHAKING_MOMENT = (
     'transmission_angle', 'shaking_force', 'shaking_moment')
 # Steps of differences, as shares of a number or, where that is more, of so much of its range.
 STEP, OF_RANGE = 1e-2, 0.1
-CENTRAL, FORWARD = tuple(range(-3, 4)), tuple(range(7))
 # Where they are tried one after the other: a machine next to its limits has no others around.
-TRIED = ((CENTRAL, 1.0), (FORWARD, 1.0), (FORWARD, -1.0), (CENTRAL, 0.1), (CENTRAL, 0.01))
+TRIED = ((FIRST_6, 1.0), (FORWARD_6, 1.0), (FORWARD_6, -1.0), (FIRST_6, 0.1), (FIRST_6, 0.01))
 
 
 class Infeasible(Exception):
@@ -88,27 +89,48 @@ def with_values(scene, variables, values):
         raise Infeasible(str(error)) from None
 
 
-def names_of(scene, drives):
-    """Return the names of all quantities of a scene, and of its numbers, by kind."""
-    mechanism = scene.mechanism
-    joints = [*mechanism.coordinates.names, *mechanism.cut_coordinates.names]
-    axes = 'xyz'[:2 if mechanism.planar else 3]
+def quantities_of(mechanism, drives) -> Dict[str, Callable[['Quantities'], object]]:
+    """
+    Return how each quantity of a driven machine is computed, by its name in expressions.
+
+    From ``Quantities``, as a ``Slope``, or the ``Path`` of a point.
+    """
     points = [point.name for point in mechanism.points]
-    joint_names = [joint.name for joint in (*mechanism.joints, *mechanism.cut_joints)]
-    found = [*points, *(f'{point}.{axis}' for point in points for axis in axes),
-             *(f'{what}.{joint}' for what in ('position', 'velocity', 'acceleration')
-               for joint in joints),
-             *(f'{what}.{drive}' for what in ('torque', 'power') for drive in _exerting(
-                 scene, drives)),
-             *(f'force.{joint}' for joint in joint_names), TRANSMISSION, SHAKING_FORCE,
-             SHAKING_MOMENT]
-    return found, numbers(scene)
+    axes = 'xyz'[:2 if mechanism.planar else 3]
+    freedoms = [*mechanism.coordinates.names, *mechanism.cut_coordinates.names]
+    exerting = drives if set(freedoms).issuperset(drives) else mechanism.actuated_joints
 
+    def exact(name):
+        return lambda all_: all_.exact(name)
 
-def _exerting(scene, drives):
-    """Return the names of coordinates with torques."""
-    freedoms = {*scene.mechanism.coordinates.names, *scene.mechanism.cut_coordinates.names}
-    return list(drives) if freedoms.issuperset(drives) else scene.mechanism.actuated_joints
+    def by_differences(group, name):
+        return lambda all_: all_.differences(group, name)
+
+    def magnitude(group, name):
+        return lambda all_: Magnitude(_stacked([
+            all_.differences(group, f'{name}.{axis}') for axis in axes]))
+
+    def path(point):
+        return lambda all_: Path(_stacked([all_.exact(f'{point}.{axis}') for axis in axes]))
+
+    found = {point: path(f'point.{point}') for point in points}
+    found.update({f'{point}.{axis}': exact(f'point.{point}.{axis}')
+                  for point in points for axis in axes})
+    found.update({f'position.{name}': (
+        (lambda all_, name=name: all_.driven(name)) if name in drives else exact(name)
+        if name in mechanism.coordinates.names else by_differences(_loads, f'position.{name}'))
+        for name in freedoms})
+    found.update({name: by_differences(_loads, name) for name in (
+        *(f'{what}.{name}' for what in ('velocity', 'acceleration') for name in freedoms),
+        *(f'torque.{name}' for name in exerting))})
+    found.update({f'power.{name}': lambda all_, name=name: (
+        all_[f'torque.{name}'] * all_[f'velocity.{name}']) for name in exerting})
+    found.update({f'force.{joint.name}': magnitude(_loads, f'force.{joint.name}')
+                  for joint in (*mechanism.joints, *mechanism.cut_joints)})
+    return {**found, TRANSMISSION: Quantities.transmission,
+            SHAKING_FORCE: magnitude(_shaking, 'force'),
+            SHAKING_MOMENT: by_differences(_shaking, 'moment') if mechanism.planar else (
+                magnitude(_shaking, 'moment'))}
 
 
 class Quantities:
@@ -123,6 +145,7 @@ class Quantities:
     def __init__(self, scene, driven, variables=(), run=None):
         self._scene, self._driven, self._variables = scene, driven, tuple(variables)
         self.run = driven.run(scene) if run is None else run
+        self._computed = quantities_of(self.run.mechanism, driven.drives)
         self._known, self._others = {}, {}
 
     def by(self, variables):
@@ -132,7 +155,7 @@ class Quantities:
     def __getitem__(self, name):
         """Return a ``Slope``, or the ``Path`` of a point."""
         if name not in self._known:
-            self._known[name] = self._found(name)
+            self._known[name] = self._computed[name](self)
         return self._known[name]
 
     @property
@@ -151,15 +174,13 @@ class Quantities:
             if one.key.startswith('parameters.'):
                 value = numbers(self._scene)[one.key]
                 step = STEP * max(abs(value), OF_RANGE * (one.high - one.low))
-                slope[k] = sum(
-                    weight / step * numbers(with_values(
-                        self._scene, [one], [value + offset * step]))[key]
-                    for weight, offset in zip(_weights(CENTRAL), CENTRAL) if weight)
+                slope[k] = derivative(FIRST_6, step, (numbers(with_values(
+                    self._scene, [one], [value + offset * step]))[key] for offset in FIRST_6))
         return Slope(numbers(self._scene)[key], slope)
 
     def part(self, x, low, high):
         """Return the part of a quantity where the first drive that moves is between two values."""
-        _, drive = design.drive_values(self.run)
+        drive = self.run.drive.values
         places = np.flatnonzero((drive >= low - 1e-9) & (drive <= high + 1e-9))
         if len(places) < 3:
             raise FieldError(f'part of the drive from {drive.min():.6g} to {drive.max():.6g} '
@@ -170,49 +191,22 @@ class Quantities:
             raise FieldError('part of a quantity over the motion', 'that of a single number')
         return x.part(places)
 
-    def _found(self, name):
-        mechanism = self.run.mechanism
-        what, _, rest = name.partition('.')
-        points = [point.name for point in mechanism.points]
-        axes = 'xyz'[:2 if mechanism.planar else 3]
-        if name in points:
-            columns = [self._exact(f'point.{name}.{axis}') for axis in axes]
-            return Path(Slope(np.stack([one.value for one in columns], axis=1),
-                              np.stack([one.slope for one in columns], axis=1)))
-        if what in points:
-            return self._exact(f'point.{name}')
-        if name == TRANSMISSION:
-            return self._transmission()
-        if what == 'position' and rest in self.run.driven:
-            values = self.run.driven[rest]
-            return Slope(values, np.zeros((len(values), len(self._variables))))
-        if what == 'position' and rest in mechanism.coordinates.names:
-            return self._exact(rest)
-        if name == SHAKING_FORCE:
-            return Magnitude(self._stacked(_shaking, [f'force.{axis}' for axis in axes]))
-        if name == SHAKING_MOMENT and mechanism.planar:
-            return self._differences(_shaking, 'moment')
-        if name == SHAKING_MOMENT:
-            return Magnitude(self._stacked(_shaking, [f'moment.{axis}' for axis in axes]))
-        if what == 'force':
-            return Magnitude(self._stacked(_loads, [f'force.{rest}.{axis}' for axis in axes]))
-        if what == 'power':
-            return self[f'torque.{rest}'] * self[f'velocity.{rest}']
-        return self._differences(_loads, name)
+    def driven(self, name):
+        """Return the position of a driven joint, which no number changes."""
+        values = self.run.driven[name]
+        return Slope(values, np.zeros((len(values), self.count)))
 
-    def _exact(self, name):
+    def exact(self, name):
         """Return a quantity of the positions."""
         if _numbers not in self._known:
             self._known[_numbers] = self._positions()
-        names, values, slopes = self._known[_numbers]
-        place = names.index(name)
-        return Slope(values[:, place], slopes[:, place])
+        return _column(self._known[_numbers], name)
 
-    def _transmission(self):
+    def transmission(self):
         """Return the least transmission angle of all couplers."""
         names = _numbers(self.run.mechanism, self.run.position, self.run.driven)[0]
         count = sum(name.startswith(TRANSMISSION) for name in names)
-        parts = [ON_SLOPES['abs'](self._exact(f'{TRANSMISSION}.{k}')) for k in range(count)]
+        parts = [ON_SLOPES['abs'](self.exact(f'{TRANSMISSION}.{k}')) for k in range(count)]
         if not parts:
             raise FieldError('a coupler between the driven link and one on the ground',
                              'another mechanism, without transmission angle')
@@ -228,9 +222,9 @@ class Quantities:
             ('mechanism.bodies.', 'effects.'))]
         if moving and any(name not in run.mechanism.coordinates.names for name in run.driven):
             for k in moving:
-                nodes = [(weight, _numbers(other.mechanism, other.position, other.driven)[1])
-                         for weight, other in self._around(k)]
-                slopes[..., k] = sum(weight * each for weight, each in nodes)
+                slopes[..., k] = sum(
+                    weight * _numbers(other.mechanism, other.position, other.driven)[1]
+                    for weight, other in self._around(k))
         elif moving:
             try:
                 slopes[..., moving] = design.sensitivity(
@@ -239,27 +233,17 @@ class Quantities:
                 raise Infeasible(str(error)) from None
         return names, values, slopes
 
-    def _stacked(self, group, names):
-        columns = [self._differences(group, name) for name in names]
-        return Slope(np.stack([one.value for one in columns], axis=1),
-                     np.stack([one.slope for one in columns], axis=1))
-
-    def _differences(self, group, name):
+    def differences(self, group, name):
         """Return a quantity with differences for derivatives."""
         if group not in self._known:
             names, values = _of_all(group, self.run)
             slopes = np.zeros((*values.shape, len(self._variables)))
             for k, one in enumerate(self._variables):
-                if self._is_idle(one.key.split('.')):
-                    continue
-                slopes[..., k] = sum(weight * _of_all(group, other)[1]
-                                     for weight, other in self._around(k) if weight)
+                if not self._is_idle(one.key.split('.')):
+                    slopes[..., k] = sum(weight * _of_all(group, other)[1]
+                                         for weight, other in self._around(k))
             self._known[group] = names, values, slopes
-        names, values, slopes = self._known[group]
-        if name not in names:
-            raise FieldError(f'one of {among(names)}', shown(name), nearest(name, names))
-        place = names.index(name)
-        return Slope(values[:, place], slopes[:, place])
+        return _column(self._known[group], name)
 
     def _is_idle(self, keys):
         """Return whether a number is that of a point where nothing acts."""
@@ -274,24 +258,25 @@ class Quantities:
 
     def _nodes(self, variable):
         value = numbers(self._scene)['.'.join(resolve(self._scene, variable.key))]
-        room = OF_RANGE * (variable.high - variable.low)
-        reason = None
-        for offsets, scale in TRIED:
-            step = scale * STEP * max(abs(value), room)
-            try:
-                return [(weight / step, self._driven.run(with_values(
-                    self._scene, [variable], [value + offset * step])))
-                    for weight, offset in zip(_weights(offsets), offsets) if offset or weight]
-            except Infeasible as error:
-                reason = error
-        raise Infeasible(f'{variable.key}: no machines around this one: {reason}')
+        step = STEP * max(abs(value), OF_RANGE * (variable.high - variable.low))
+        try:
+            return nodes(lambda distance: self._driven.run(with_values(
+                self._scene, [variable], [value + distance])), step, TRIED, Infeasible)
+        except Infeasible as error:
+            raise Infeasible(
+                f'{variable.key}: no machines around this one: {error}') from None
 
 
-def _weights(offsets):
-    """Return the weights of the derivative at 0 of the polynomial through values at offsets."""
-    powers = np.vander(np.array(offsets, dtype=float), increasing=True).T
-    found = np.linalg.solve(powers, np.eye(len(offsets))[1])
-    return [float(weight) if abs(weight) > 1e-12 else 0.0 for weight in found]
+def _column(known, name):
+    """Return one of several quantities with their names, values and derivatives."""
+    names, values, slopes = known
+    place = names.index(name)
+    return Slope(values[:, place], slopes[:, place])
+
+
+def _stacked(columns):
+    return Slope(np.stack([one.value for one in columns], axis=1),
+                 np.stack([one.slope for one in columns], axis=1))
 
 
 def _numbers(mechanism, position, driven):
@@ -313,8 +298,7 @@ def _of_all(group, run):
 def _loads(run):
     """Return names and values of velocities, torques and components of forces."""
     column = by_name(run.table())
-    exerted = torques(run, column)
-    found = {**{f'torque.{name}': each for name, each in exerted.items()},
+    found = {**{f'torque.{name}': one.values for name, one in torques(run, column).items()},
              **{name: each for name, each in column.items() if name.startswith(
                  ('position.', 'velocity.', 'acceleration.', 'force.'))}}
     return list(found), np.stack(list(found.values()), axis=1)

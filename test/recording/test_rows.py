@@ -14,7 +14,8 @@ from closedloop_dynamics.mechanism.closure import closure
 from closedloop_dynamics.mechanism.mechanism import MechanismError
 from closedloop_dynamics.recording import recording as recordings
 from closedloop_dynamics.recording.errors import RecordingError
-from closedloop_dynamics.recording.kinematics import by_name, Drive, DrivenRun
+from closedloop_dynamics.recording.kinematics import Drive, DrivenRun
+from closedloop_dynamics.recording.quantities import by_name
 from closedloop_dynamics.recording.recording import read_recording, Recording
 from closedloop_dynamics.recording.rows import read_rows, scene_path
 from closedloop_dynamics.simulation.key_paths import changed, resolve
