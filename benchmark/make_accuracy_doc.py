@@ -25,8 +25,6 @@ import warnings
 
 import all_machines_report
 import energy_study
-from formulations import study_formulations
-import formulations_report
 import held_torques
 from machine import description, ROOT
 import sentences
@@ -72,7 +70,7 @@ CASES = (
 )
 HELD = {'three_rrr': '3-RRR', 'carpet_scraper': 'scraper'}
 MACHINES, SAMPLES = 'machines', 'samples'
-PARTS = (*(case.name for case in CASES), 'held', 'energy', 'formulations', MACHINES, SAMPLES)
+PARTS = (*(case.name for case in CASES), 'held', 'energy', MACHINES, SAMPLES)
 PAGES = ('accuracy.md', 'accuracy_methods.md', 'accuracy_machines.md')
 
 
@@ -207,10 +205,6 @@ def measure(pictures, quick, only):
         held_torques.write(held_torques.study(quick=quick), pictures / 'accuracy_held.csv')
     if 'energy' in only:
         energy_study.write(energy_study.study(quick), pictures / 'accuracy_energy.csv')
-    if 'formulations' in only:
-        rows = study_formulations(quick=quick, progress=_progress('formulations'))
-        formulations_report.write(rows, pictures / 'accuracy_formulations.csv',
-                                  pictures / 'accuracy_formulations.png')
 
 
 def measure_beside_others(pictures, options):

@@ -166,12 +166,13 @@ class Programs:
                 pass
         self.kill_all()
 
-    def start(self, executable, namespace=None, arguments=(), remap=(), **parameters):
+    def start(self, executable, namespace=None, arguments=(), remap=(), path=None,
+              **parameters):
         """
         Start an executable, by its name as given to ``ros2 run``; return its Program.
 
         ``arguments`` come before the other ROS arguments; ``remap`` are rules ``FROM:=TO``; the
-        parameters have values as one writes them in YAML.
+        parameters have values as one writes them in YAML; ``path`` is as ``Program`` has it.
         """
         command = [*arguments, '--ros-args']
         rules = [*remap, *([f'__ns:={namespace}'] if namespace else [])]
@@ -180,7 +181,8 @@ class Programs:
         for name, value in parameters.items():
             command += ['-p', f'{name}:={value}']
         log = self._directory / f'{len(self._started)}_{executable}.log'
-        program = Program(executable, command, log, self.environment, self._directory)
+        program = Program(executable, command, log, self.environment, self._directory,
+                          path)
         self._started.append(program)
         return program
 

@@ -44,17 +44,16 @@ def test_gradients_prints_their_price(benchmark, capsys):
     assert min(min(one[:2]) for one in numbers) > 0.0
 
 
-def test_forward_dynamics_prints_times(benchmark, capsys):
-    assert benchmark('forward_dynamics').main(
-        ['four_bar', 'three_rrr', '--count', '2000', '--repeats', '2', '--without-starts']) == 0
+@pytest.mark.parametrize('option, columns', [(None, 12), ('--rollouts', 3)])
+def test_python_calls_prints_times(benchmark, capsys, option, columns):
+    assert benchmark('python_calls').main(
+        ['four_bar', '--count', '400', '--repeats', '2', *filter(None, [option])]) == 0
     text = capsys.readouterr().out
     assert 'llvmlite' in text and 'commit' in text
-    for scene in ('four_bar', 'three_rrr'):
-        line = next(line for line in text.splitlines() if line.startswith(scene))
-        numbers = [float(number) for number in re.findall(r'-?[\d.]+', line.removeprefix(scene))]
-        assert len(numbers) == 7 and all(number > 0.0 for number in numbers[:6])
-        # Less than a byte a step.
-        assert numbers[6] < 2000
+    line = next(line for line in text.splitlines() if line.startswith('four_bar'))
+    numbers = [float(number) for number in line.split()[1:]]
+    # Differences may be less than what disturbs them.
+    assert len(numbers) == columns and max(numbers) > 0.0
 
 
 @pytest.mark.skipif(shutil.which('cc') is None, reason='needs a C compiler, called cc')
@@ -240,15 +239,6 @@ def test_estimators_are_timed_and_their_bands_counted(benchmark, monkeypatch, ca
     inside, told = map(float, re.match(
         r'four_bar: ([0-9.]+) % in .*; alarms ([0-9.]+) % as told', bands).groups())
     assert inside > 70.0 and told <= 5.0
-
-
-def test_missed_periods_are_counted(benchmark):
-    pytest.importorskip('rclpy')
-    load = benchmark('node_load')
-    moments = [0, 10, 20, 50, 60, 81, 90]
-    missed, _, worst = load.columns([int(1e6 * moment) for moment in moments], 100.0)
-    # Two were due between 20 and 50 ms, and one before 81.
-    assert missed == 3 and worst == pytest.approx(20.0)
 
 
 def test_samples_a_second_stand_beside_their_error(benchmark, monkeypatch, capsys, tmp_path):

@@ -29,8 +29,9 @@ GONE = {
     **{name: 'doc/examples/derived_machines of the sources writes such scenes: `python '
              f'doc/examples/derived_machines {name} --help`'
        for name in ('cognates', 'invert', 'mirror')},
-    **{name: f'benchmark/{name}.py of the sources makes this study: `python benchmark/{name}.py '
-             '--help`' for name in ('formulations', 'stability')},
+    'formulations': 'the dense formulations are oracles of the tests (test/reference)',
+    'stability': 'benchmark/stability.py of the sources makes this study: `python '
+                 'benchmark/stability.py --help`',
     'recover': 'killed recordings are read as they are; an MCAP file gets its index back, and '
                'loses what is damaged, by `mcap recover FILE -o NEW`, a bag its metadata.yaml by '
                '`ros2 bag reindex BAG`'}

@@ -114,7 +114,7 @@ def test_node_keeps_the_point_to_its_path(processes, listener, mode):
     assert away[index] < 4e-4 and away[0] > 0.04 and away[-1] > 1e-3
 
 
-# How well they track in real time depends on the host: benchmark/tracking.py measures it.
+# How well they track in real time depends on the host.
 @pytest.mark.slow
 def test_nodes_lead_the_platform_round(processes, listener):
     center, mechanism = center_of('three_rrr_circle')
