@@ -1,7 +1,12 @@
 # SPDX-FileCopyrightText: 2026 The closedloop_dynamics authors
 # SPDX-License-Identifier: Apache-2.0
 
-"""A rosbag2 bag with the definitions of its types, written from a thread of its own."""
+"""
+A rosbag2 bag with the definitions of its types.
+
+It is written from a thread of its own, so that a disk that is slow for a while stalls no callback:
+messages wait in memory, none is lost, and other topics go on.
+"""
 
 from collections import Counter
 from importlib import import_module

@@ -23,24 +23,20 @@ from closedloop_dynamics.recording.message_numbers import NANOSECONDS, stamp_of
 from closedloop_dynamics.ros.bag import MessageTypes
 from closedloop_dynamics.ros.commands import (
     CommandError, SERVICE_QOS, subscribe, TorqueCommand)
-from closedloop_dynamics.ros.diagnostics import ERROR, Finding, OK, send, WARN
+from closedloop_dynamics.ros.diagnostics import ERROR, Finding, OK, WARN
 from closedloop_dynamics.ros.loading import load_simulation
 from closedloop_dynamics.ros.markers import MARKER_PARAMETERS, Markers
 from closedloop_dynamics.ros.messages import (
     DEVIATIONS, joint_state, SerializedTemplate, STATE_QOS, StatePublisher, wrench_stamped)
-from closedloop_dynamics.ros.pacing import LOCKSTEP, REALTIME, Throttle
-from closedloop_dynamics.ros.parameters import (
-    ALLOW_CODE, declare, Parameter, usage, watch_changes)
-from closedloop_dynamics.ros.process import leaving_at_once, run, StartError
+from closedloop_dynamics.ros.node import CountingNode
+from closedloop_dynamics.ros.pacing import LOCKSTEP, REALTIME
+from closedloop_dynamics.ros.parameters import ALLOW_CODE, declare, Parameter
+from closedloop_dynamics.ros.process import leaving_at_once, StartError
 from closedloop_dynamics.ros.timeline import Timeline
 from closedloop_dynamics.simulation.errors import SimulationError
 from closedloop_dynamics.simulation.model import Model
-from diagnostic_msgs.msg import DiagnosticArray
 from geometry_msgs.msg import WrenchStamped
 import numpy as np
-from rclpy.clock import Clock
-from rclpy.clock import ClockType
-from rclpy.node import Node
 from rclpy.qos import QoSProfile
 from rclpy.qos import ReliabilityPolicy
 from sensor_msgs.msg import JointState
@@ -49,11 +45,9 @@ from std_msgs.msg import MultiArrayDimension
 from std_srvs.srv import SetBool
 from std_srvs.srv import Trigger
 
-NAME = 'closedloop_estimator'
 # As many measurements may wait while this process is held up. In lockstep the machine may be
 # faster than this node, and does not wait for it.
 DEPTH, LOCKSTEP_DEPTH = 1000, 10000
-DIAGNOSTIC_PERIOD = 1.0
 # Without a measurement for longer, estimates go on by the model [s].
 SILENCE = 0.05
 # Time since the newest stamp that a stamp may be ahead, and behind [s]; stamps far from the others
@@ -98,13 +92,13 @@ class _Pale:
     """A simulation that markers show, with the forces that are estimated."""
 
     def __init__(self, simulation):
-        self._simulation, self.constraint_forces = simulation, simulation.constraint_forces
+        self.simulation, self.constraint_forces = simulation, simulation.constraint_forces
 
     def __getattr__(self, name):
-        return getattr(self._simulation, name)
+        return getattr(self.simulation, name)
 
 
-class EstimatorNode(Node):
+class EstimatorNode(CountingNode):
     """
     Estimate state, joint forces and loads of a machine from what its sensors publish.
 
@@ -114,17 +108,20 @@ class EstimatorNode(Node):
     a function that publishes the covariance.
     """
 
+    NAME, PARAMETERS = 'closedloop_estimator', ESTIMATOR_PARAMETERS
+    FURTHER = MARKER_PARAMETERS
+    KINDS = USED, NOT_USABLE, ODD, LOST, RESTARTS
+    LOSES_NOTHING = True
+
     def __init__(self, **options):
-        super().__init__(NAME, **options)
-        watch_changes(self)
-        self.exit_code = self.estimator = None
-        self._values = values = declare(self, ESTIMATOR_PARAMETERS)
+        super().__init__(**options)
+        self.estimator, values = None, self.values
         for name in ('scene', 'sensors'):
             if not values[name]:
                 raise StartError(f'parameter {name!r}: expected '
                                  f'{"a scene or a model" if name == "scene" else "a file"}, got '
                                  'none')
-        self._simulation = simulation = load_simulation(values, self.get_logger())[0]
+        self.simulation = simulation = load_simulation(values, self.get_logger())[0]
         try:
             self._setup = setup = read_setup(values['sensors'], simulation.scene)
         except SetupError as error:
@@ -136,19 +133,15 @@ class EstimatorNode(Node):
         except FieldError as error:
             raise StartError(f'parameter {error}') from None
         self._model = Model(simulation.scene)
-        self._timeline, self._throttles = Timeline(AHEAD, BEHIND, SEVERAL), {}
-        self.paused, self.counts, self._reason = False, dict.fromkeys(
-            (USED, NOT_USABLE, ODD, LOST, RESTARTS), 0), ''
-        self._before, self._fresh, self._heard = dict(self.counts), False, None
+        self._timeline = Timeline(AHEAD, BEHIND, SEVERAL)
+        self.paused, self._fresh, self._heard = False, False, None
         # Everything is compiled before anything comes.
         self._new = self._build()
         self._restart()
         self._create_outputs()
         self._create_inputs()
-        steady = Clock(clock_type=ClockType.STEADY_TIME)
-        self.create_timer(DIAGNOSTIC_PERIOD, self.publish_diagnostics, clock=steady)
         if values['mode'] == REALTIME:
-            self.create_timer(1.0 / values['publish_rate'], self.tick, clock=steady)
+            self.every(1.0 / values['publish_rate'], self.tick)
         self.get_logger().info(
             f"estimating '{simulation.scene.name}' from "
             f'{", ".join(sensor.name for sensor in setup.sensors)}; unknown: '
@@ -164,11 +157,11 @@ class EstimatorNode(Node):
                 estimator.estimate()
                 return estimator
         except (ValueError, EstimationError, SimulationError) as error:
-            raise StartError(f'{self._values["sensors"]}: {error}') from None
+            raise StartError(f'{self.values["sensors"]}: {error}') from None
 
     def _create_outputs(self):
         """Create publishers, with messages as large as they will be."""
-        simulation, mechanism = self._simulation, self._simulation.mechanism
+        simulation, mechanism = self.simulation, self.simulation.mechanism
         names, cuts = self._new.estimate().joint_forces.names, {
             cut.name for cut in simulation.mechanism.cut_joints}
         wrenches = [f'{"constraint" if name in cuts else "joint"}_forces/{name}' for name in names]
@@ -198,7 +191,6 @@ class EstimatorNode(Node):
         self.markers = Markers(self, self._pale, self._summary)
         for marker, _ in self.markers.links:
             marker.color.a = PALE
-        self._diagnostics = self.create_publisher(DiagnosticArray, '/diagnostics', 10)
 
     def _labelled(self, topic, columns):
         """Return a function that publishes a stamp and numbers, whose names are in the message."""
@@ -215,7 +207,7 @@ class EstimatorNode(Node):
 
     def _create_inputs(self):
         """Subscribe to what is measured and commanded, and offer the services."""
-        types, lockstep = MessageTypes(), self._values['mode'] == LOCKSTEP
+        types, lockstep = MessageTypes(), self.values['mode'] == LOCKSTEP
         # Best effort takes measurements from publishers of both kinds.
         qos = (QoSProfile(depth=LOCKSTEP_DEPTH, reliability=ReliabilityPolicy.RELIABLE) if lockstep
                else QoSProfile(depth=DEPTH, reliability=ReliabilityPolicy.BEST_EFFORT))
@@ -234,7 +226,7 @@ class EstimatorNode(Node):
 
     def _restart(self):
         """Forget the run; the next measurements begin another one."""
-        simulation = self._simulation
+        simulation = self.simulation
         self.estimator, self._origin, self._newest, self._gated = (
             None, None, None, Counter())
         self._begun = None
@@ -255,14 +247,14 @@ class EstimatorNode(Node):
             readings = self._streams.readings(topic, message)
             torques = self._streams.torques(message) if topic == STATES else {}
         except StreamError as error:
-            self._complain(NOT_USABLE, f'{topic} not usable: {error}')
+            self.complain(NOT_USABLE, f'{topic} not usable: {error}')
             return
         if not readings and not torques and topic in self._streams.sensors:
             # It measures nothing: its stamp is not that of a reading.
             return
         follows = self._timeline.follows(1e-9 * stamp)
         if follows is False:
-            self._complain(ODD, f'{topic}: a stamp of {1e-9 * stamp:.3f} s is not used: the '
+            self.complain(ODD, f'{topic}: a stamp of {1e-9 * stamp:.3f} s is not used: the '
                                 f'newest one is {self._timeline.newest:.3f} s')
             return
         if follows is None:
@@ -281,12 +273,12 @@ class EstimatorNode(Node):
         # Unless the run was lost with it.
         if topic == STATES and self._origin is not None:
             self._newest = max(time, newest)
-            if self._values['mode'] == LOCKSTEP and found:
+            if self.values['mode'] == LOCKSTEP and found:
                 self.publish(self._newest)
 
     def on_lost(self, topic, number):
         """Count messages that were lost."""
-        self._complain(LOST, f'{topic}: {number} messages were lost on the way, or came faster '
+        self.complain(LOST, f'{topic}: {number} messages were lost on the way, or came faster '
                              'than they could be taken in', number)
         if topic == STATES and number > MOST_LOST:
             self._restart()
@@ -305,7 +297,7 @@ class EstimatorNode(Node):
         try:
             accept(*content, 0.0)
         except CommandError as error:
-            self._complain(NOT_USABLE, f'{topic} not usable: {error}')
+            self.complain(NOT_USABLE, f'{topic} not usable: {error}')
             return
         self._push(dict(zip(self.command.actuated_joints, self.command.torque.tolist())),
                    self._newest or 0.0)
@@ -354,17 +346,11 @@ class EstimatorNode(Node):
             action()
             return True
         except ValueError as error:
-            self._complain(NOT_USABLE, str(error))
+            self.complain(NOT_USABLE, str(error))
         except (EstimationError, SimulationError, np.linalg.LinAlgError) as error:
-            self._complain(NOT_USABLE, f'lost, starting again: {error}')
+            self.complain(NOT_USABLE, f'lost, starting again: {error}')
             self._restart()
         return False
-
-    def _complain(self, kind, problem, number=1):
-        self.counts[kind] += number
-        self._reason = problem
-        if self._throttles.setdefault(kind, Throttle()).ready():
-            self.get_logger().warning(problem)
 
     def on_pause(self, request, response):
         """Pause: measurements are not used; or begin again with the next ones."""
@@ -408,7 +394,7 @@ class EstimatorNode(Node):
             return
         found, = estimates
         self._fresh = False
-        simulation, coordinates = self._simulation, self._simulation.coordinates
+        simulation, coordinates = self.simulation, self.simulation.coordinates
         stamp = self._origin + round(found.time * NANOSECONDS)
         nq, nv = coordinates.nq, coordinates.nv
         simulation.data.integrated[:nq] = found.state.q
@@ -447,25 +433,15 @@ class EstimatorNode(Node):
         return '\n'.join(f'{name} {value:.4g} +- {2.0 * deviation:.2g}' for name, value, deviation
                          in zip(found.names, found.value, found.deviation))
 
-    def publish_diagnostics(self):
-        """Publish whether measurements come, and whether the model explains them."""
-        news = {key: count - self._before[key] for key, count in self.counts.items()}
-        self._before = dict(self.counts)
-        findings = {'measurements': measurements_finding(
-            news, self._reason, 'paused' if self.paused else '' if self.estimator else
+    def findings(self, news):
+        """Judge whether measurements come, and whether the model explains them."""
+        found = {'measurements': measurements_finding(
+            news, self.reason, 'paused' if self.paused else '' if self.estimator else
             'waiting for measurements')}
-        findings['measurements'].values.update(self.counts)
         if self.estimator is not None:
-            findings['sensors'] = sensors_finding(self.estimator.consistency)
-            findings['model'] = model_finding(
-                self.estimator.alarms, self.estimator.belief.unknowns)
-        send(self._diagnostics, self.get_fully_qualified_name(), self.get_clock().now().to_msg(),
-             self._simulation.scene.name, findings)
-
-    def close(self):
-        """Log a summary."""
-        self.get_logger().info(', '.join(
-            f'{count} {key}' for key, count in self.counts.items()))
+            found['sensors'] = sensors_finding(self.estimator.consistency)
+            found['model'] = model_finding(self.estimator.alarms, self.estimator.belief.unknowns)
+        return found
 
 
 def measurements_finding(news, reason, standing):
@@ -505,8 +481,4 @@ def model_finding(alarms, unknowns):
     return Finding(OK, 'the model explains the measurements', values)
 
 
-def main(args=None):
-    """Run the node; return the exit code."""
-    return run(EstimatorNode, NAME, usage(
-        NAME, EstimatorNode, (*ESTIMATOR_PARAMETERS, *MARKER_PARAMETERS)), args,
-        loses_nothing=True)
+main = EstimatorNode.main

@@ -12,29 +12,22 @@ from closedloop_dynamics.control.controller import per_joint
 from closedloop_dynamics.effects.end_stop import stops_of
 from closedloop_dynamics.recording.message_numbers import stamp_of
 from closedloop_dynamics.recording.run import moving_joints
-from closedloop_dynamics.ros.diagnostics import ERROR, Finding, OK, send, WARN
+from closedloop_dynamics.ros.diagnostics import ERROR, Finding, OK, WARN
 from closedloop_dynamics.ros.loading import load_simulation
 from closedloop_dynamics.ros.messages import LATCHED_QOS, StatePublisher
-from closedloop_dynamics.ros.pacing import Throttle
-from closedloop_dynamics.ros.parameters import (
-    ALLOW_CODE, declare, Parameter, usage, watch_changes)
-from closedloop_dynamics.ros.process import run, StartError
+from closedloop_dynamics.ros.node import CountingNode
+from closedloop_dynamics.ros.parameters import ALLOW_CODE, Parameter
+from closedloop_dynamics.ros.process import StartError
 from closedloop_dynamics.simulation.passive_joint_solver import (
     PassiveJointError, PassiveJointSolver)
 from closedloop_dynamics.visual.urdf import urdf
-from diagnostic_msgs.msg import DiagnosticArray
 import numpy as np
-from rclpy.clock import Clock
-from rclpy.clock import ClockType
-from rclpy.node import Node
 from rclpy.qos import QoSProfile
 from sensor_msgs.msg import JointState
 from std_msgs.msg import String
 
-NAME = 'closedloop_joint_states'
 # Only the newest measurement is worth an answer.
 MEASURED_QOS = QoSProfile(depth=1)
-DIAGNOSTIC_PERIOD = 1.0
 # Sine of the angle to a singular position below which a pose is worth a warning.
 SINGULAR = 0.02
 COMPLETED, NOT_USABLE, NOT_CLOSED = 'completed', 'not usable', 'not closed'
@@ -57,7 +50,7 @@ JOINT_STATES_PARAMETERS = (
 )
 
 
-class JointStatesNode(Node):
+class JointStatesNode(CountingNode):
     """
     Publish all joints of a mechanism, passive and cut ones included, from measured ones.
 
@@ -65,22 +58,21 @@ class JointStatesNode(Node):
     and those whose positions close no loops.
     """
 
+    NAME, PARAMETERS = 'closedloop_joint_states', JOINT_STATES_PARAMETERS
+    KINDS = COMPLETED, NOT_USABLE, NOT_CLOSED
+    LOSES_NOTHING = True
+
     def __init__(self, **options):
-        super().__init__(NAME, **options)
-        watch_changes(self)
-        self.exit_code = None
-        self._values = values = declare(self, JOINT_STATES_PARAMETERS)
+        super().__init__(**options)
+        values = self.values
         if not values['scene']:
             raise StartError("parameter 'scene': expected a scene or a model, got none")
-        self._simulation = simulation = load_simulation(values, self.get_logger())[0]
+        self.simulation = simulation = load_simulation(values, self.get_logger())[0]
         self.completion = self._build_completion()
         self._factors = np.array(per_joint(
             'effort_factors', values['effort_factors'], self.completion.measured))
         self._index = [simulation.joint_names.index(name) for name in self.completion.measured]
         self._names, self._places = None, None
-        self._complaint, self._reason = Throttle(), ''
-        self.counts = dict.fromkeys((COMPLETED, NOT_USABLE, NOT_CLOSED), 0)
-        self._before = dict(self.counts)
         self._moving = moving_joints(simulation)
         wrenches = [f'constraint_forces/{cut.name}' for cut in simulation.mechanism.cut_joints] + [
             f'joint_forces/{simulation.mechanism.joints[place].name}' for place in self._moving]
@@ -93,17 +85,14 @@ class JointStatesNode(Node):
         self._description = self.create_publisher(String, 'robot_description', LATCHED_QOS)
         self._description.publish(String(data=urdf(
             simulation.mechanism, limits=stops_of(simulation.effects))))
-        self._diagnostics = self.create_publisher(DiagnosticArray, '/diagnostics', 10)
         self.create_subscription(
             JointState, 'joint_states', self.on_joint_states, MEASURED_QOS)
-        self.create_timer(DIAGNOSTIC_PERIOD, self.publish_diagnostics,
-                          clock=Clock(clock_type=ClockType.STEADY_TIME))
         self.get_logger().info(
             f"completing joint states of '{simulation.scene.name}' measured at "
             f'{", ".join(self.completion.measured)}')
 
     def _build_completion(self):
-        values, simulation = self._values, self._simulation
+        values, simulation = self.values, self.simulation
         joints = values['joints'] or [
             name for name in simulation.actuated_joints if name in simulation.joint_names]
         deviations = values['deviations'] * (
@@ -119,7 +108,7 @@ class JointStatesNode(Node):
         """Complete a measurement and publish it; or publish nothing and log the reason."""
         problem = self._read(message)
         if problem:
-            self._complain(NOT_USABLE, f'joint_states not usable: {problem}')
+            self.complain(NOT_USABLE, f'joint_states not usable: {problem}')
             return
         places, velocity = self._places, None
         if len(message.velocity):
@@ -127,10 +116,10 @@ class JointStatesNode(Node):
         try:
             self.completion.complete(np.array(message.position)[places], velocity)
         except PassiveJointError as error:
-            self._complain(NOT_CLOSED, f'joint_states not completed: {error}')
+            self.complain(NOT_CLOSED, f'joint_states not completed: {error}')
             return
         except ValueError as error:
-            self._complain(NOT_USABLE, f'joint_states not usable: {error}')
+            self.complain(NOT_USABLE, f'joint_states not usable: {error}')
             return
         self._publish(message)
         self.counts[COMPLETED] += 1
@@ -148,20 +137,20 @@ class JointStatesNode(Node):
         if len(message.position) != len(message.name) or len(message.velocity) not in (
                 0, len(message.name)) or len(message.effort) not in (0, len(message.name)):
             return 'it does not give a position, and velocities and efforts or none, for each name'
-        if self._values['forces'] and not (len(message.effort) and np.isfinite(
+        if self.values['forces'] and not (len(message.effort) and np.isfinite(
                 np.array(message.effort)[self._places]).all()):
             return 'it does not give the efforts that forces (parameter forces) follow from'
         return ''
 
     def _publish(self, message):
-        simulation, completion = self._simulation, self.completion
+        simulation, completion = self.simulation, self.completion
         nq = len(completion.position)
         simulation.data.integrated[:nq] = completion.position
         simulation.data.integrated[nq:nq + len(completion.velocity)] = completion.velocity
         effort, forces = np.zeros(len(completion.velocity)), self._no_forces
         if len(message.effort):
             effort[self._index] = self._factors * np.array(message.effort)[self._places]
-        if self._values['forces']:
+        if self.values['forces']:
             tau = np.zeros(len(simulation.torque_names))
             tau[:len(effort)] = effort
             simulation.advance(tau, 0)
@@ -172,25 +161,10 @@ class JointStatesNode(Node):
         self.states.publish(stamp_of(message), completion.position, completion.velocity, effort,
                             forces, cuts)
 
-    def _complain(self, kind, problem):
-        self.counts[kind] += 1
-        self._reason = problem
-        if self._complaint.ready():
-            self.get_logger().warning(problem)
-
-    def publish_diagnostics(self):
-        news = {key: count - self._before[key] for key, count in self.counts.items()}
-        self._before = dict(self.counts)
-        finding = pose_finding(
-            self.completion, self._values['tolerance'], news, self._reason)
-        finding.values.update(self.counts)
-        send(self._diagnostics, self.get_fully_qualified_name(), self.get_clock().now().to_msg(),
-             self._simulation.scene.name, {'pose': finding})
-
-    def close(self):
-        """Log a summary."""
-        self.get_logger().info(', '.join(
-            f'{count} {key}' for key, count in self.counts.items()))
+    def findings(self, news):
+        """Judge the latest pose and what came since the last time."""
+        return {'pose': pose_finding(
+            self.completion, self.values['tolerance'], news, self.reason)}
 
 
 def pose_finding(completion, tolerance, news, reason):
@@ -224,7 +198,4 @@ def pose_finding(completion, tolerance, news, reason):
         'singular position passed': completion.passed})
 
 
-def main(args=None):
-    """Run the node; return the exit code."""
-    return run(JointStatesNode, NAME, usage(NAME, JointStatesNode, JOINT_STATES_PARAMETERS), args,
-               loses_nothing=True)
+main = JointStatesNode.main

@@ -11,17 +11,14 @@ import time
 from closedloop_dynamics.recording.writer import COMPRESSIONS
 from closedloop_dynamics.ros.bag import (
     BagError, BagWriter, CACHE_SIZE, MessageTypes, UnknownTypeError)
-from closedloop_dynamics.ros.parameters import declare, Parameter, usage, watch_changes
-from closedloop_dynamics.ros.process import run, StartError
-from rclpy.clock import Clock
-from rclpy.clock import ClockType
+from closedloop_dynamics.ros.node import ProgramNode
+from closedloop_dynamics.ros.parameters import Parameter
+from closedloop_dynamics.ros.process import StartError
 from rclpy.event_handler import SubscriptionEventCallbacks
-from rclpy.node import Node
 from rclpy.qos import DurabilityPolicy
 from rclpy.qos import QoSProfile
 from rclpy.qos import ReliabilityPolicy
 
-NAME = 'closedloop_recorder'
 # Messages of a topic that may wait while this process is held up.
 QUEUE_DEPTH = 10000
 # Period of the search for topics [s].
@@ -37,7 +34,7 @@ LAST_CALL = 0.5
 RARE = ('multi_dof_joint_states', 'coupling_forces', 'tooth_forces', 'motion_forces',
         'motion_command')
 
-PARAMETERS = (
+RECORDER_PARAMETERS = (
     Parameter(
         'topics', ['joint_states', 'constraint_forces/*', 'torque_command', 'joint_command',
                    'scene', 'robot_description', 'replay_log', *RARE],
@@ -59,7 +56,7 @@ PARAMETERS = (
 )
 
 
-class RecorderNode(Node):
+class RecorderNode(ProgramNode):
     """
     Record every message of the chosen topics, as it came over the wire.
 
@@ -67,27 +64,25 @@ class RecorderNode(Node):
     topic name; lost: what DDS says could not be delivered.
     """
 
+    NAME, PARAMETERS = 'closedloop_recorder', RECORDER_PARAMETERS
+
     def __init__(self, **options):
-        super().__init__(NAME, **options)
-        self.exit_code = None
-        watch_changes(self)
+        super().__init__(**options)
         self.received = Counter()
         self.lost = Counter()
-        self._values = declare(self, PARAMETERS)
         self._patterns = {
-            pattern: self._full_pattern(pattern) for pattern in self._values['topics']}
+            pattern: self._full_pattern(pattern) for pattern in self.values['topics']}
         self._types = MessageTypes()
         self._type_of = {}
         self._subscriptions_by_topic = {}
         self._complained = set()
         self._bag = self._open()
         self._begin = time.monotonic()
-        self.create_timer(
-            DISCOVERY_PERIOD, self.poll_topics, clock=Clock(clock_type=ClockType.STEADY_TIME))
+        self.every(DISCOVERY_PERIOD, self.poll_topics)
         self.get_logger().info(f"recording {', '.join(self._patterns)} into '{self._bag.path}'")
 
     def _open(self):
-        values = self._values
+        values = self.values
         storage, compression = values['storage'], values['compression']
         if compression not in COMPRESSIONS[storage]:
             raise StartError(
@@ -110,7 +105,7 @@ class RecorderNode(Node):
             self.get_logger().warning(
                 'messages come faster than the disk takes them: '
                 f'{self._bag.dropped} dropped so far', throttle_duration_sec=WARNING_PERIOD)
-        duration = self._values['max_duration']
+        duration = self.values['max_duration']
         if self._bag.error is not None:
             self.exit_code = 1
         elif duration and time.monotonic() - self._begin >= duration:
@@ -223,6 +218,4 @@ def _matching_profile(offered):
             DurabilityPolicy.TRANSIENT_LOCAL if latched else DurabilityPolicy.VOLATILE))
 
 
-def main(args=None):
-    """Run the node; return the exit code."""
-    return run(RecorderNode, NAME, usage(NAME, RecorderNode, PARAMETERS), args)
+main = RecorderNode.main

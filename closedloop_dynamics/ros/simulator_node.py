@@ -30,19 +30,17 @@ from closedloop_dynamics.ros.loading import load_simulation, log_cost
 from closedloop_dynamics.ros.markers import MARKER_PARAMETERS, Markers
 from closedloop_dynamics.ros.messages import Stamps, StatePublisher
 from closedloop_dynamics.ros.motion_command import LOST, MotionCommand
+from closedloop_dynamics.ros.node import DIAGNOSTIC_PERIOD, ProgramNode
 from closedloop_dynamics.ros.pacing import (
     LOCKSTEP, MODES, period_steps, PORTION, REALTIME, Throttle)
-from closedloop_dynamics.ros.parameters import declare, declare_fact, usage, watch_changes
-from closedloop_dynamics.ros.process import leaving_at_once, run, StartError, stop_requested
+from closedloop_dynamics.ros.parameters import declare_fact
+from closedloop_dynamics.ros.process import leaving_at_once, StartError, stop_requested
 from closedloop_dynamics.ros.simulator_parameters import (
     CHANGEABLE, METHOD, method_changes, SIMULATOR_PARAMETERS)
 from closedloop_dynamics.simulation.errors import SimulationError
 from closedloop_dynamics.simulation.pacer import Pacer
 from geometry_msgs.msg import WrenchStamped
 from rcl_interfaces.msg import SetParametersResult
-from rclpy.clock import Clock
-from rclpy.clock import ClockType
-from rclpy.node import Node
 from rclpy.qos import QoSProfile
 from rclpy.qos import ReliabilityPolicy
 from rosidl_generator_py.import_type_support_impl import UnsupportedTypeSupport
@@ -53,16 +51,13 @@ from std_srvs.srv import SetBool
 from std_srvs.srv import Trigger
 from trajectory_msgs.msg import JointTrajectory
 
-NAME = 'closedloop_simulator'
 # As many commands may wait while this process is held up.
 COMMAND_DEPTH = 1000
 # Wrenches on different bodies that come together.
 WRENCH_DEPTH = 10
-# Between two rounds of diagnostics [s].
-DIAGNOSTIC_PERIOD = 1.0
 
 
-class SimulatorNode(Node):
+class SimulatorNode(ProgramNode):
     """
     Advance a simulation and publish its state.
 
@@ -73,11 +68,13 @@ class SimulatorNode(Node):
     simulated by single steps in pauses [s].
     """
 
+    NAME, PARAMETERS = 'closedloop_simulator', SIMULATOR_PARAMETERS
+    FURTHER = *FRAME_PARAMETERS, *MARKER_PARAMETERS
+    TIMED = LOSES_NOTHING = True
+
     def __init__(self, **options):
-        super().__init__(NAME, **options)
-        self.exit_code = None
-        watch_changes(self)
-        self._values = values = declare(self, SIMULATOR_PARAMETERS)
+        super().__init__(**options)
+        values = self.values
         lockstep = values['mode'] == LOCKSTEP
         with announced_by(self.get_logger().info):
             self.simulation, self._own_method = load_simulation(
@@ -106,8 +103,7 @@ class SimulatorNode(Node):
         self.add_on_set_parameters_callback(self._check_change)
         self.add_post_set_parameters_callback(self._change)
         self.idle_states = IdleStateInhibitor()
-        self.create_timer(DIAGNOSTIC_PERIOD, self.publish_diagnostics,
-                          clock=Clock(clock_type=ClockType.STEADY_TIME))
+        self.every(DIAGNOSTIC_PERIOD, self.publish_diagnostics)
         # Time begins when all is there.
         self.timer = self._due = None
         # Where the process lets this node act: what it is to do beside ticks, and since when it
@@ -129,7 +125,7 @@ class SimulatorNode(Node):
 
     def _create_simulation(self):
         """Create the parts that advance and publish the simulation."""
-        values, simulation = self._values, self.simulation
+        values, simulation = self.values, self.simulation
         self._frames = Frames(self, simulation)
         self.states = StatePublisher(
             self, simulation.coordinates,
@@ -426,7 +422,7 @@ class SimulatorNode(Node):
         self.simulation.reset()
         self.command.forget()
         self.live.wrench.forget()
-        self.waiting = self._values['wait_for_command'] and self.mode.name != LOCKSTEP
+        self.waiting = self.values['wait_for_command'] and self.mode.name != LOCKSTEP
         if self.running:
             self.mode.start()
         self._renew_timer()
@@ -462,7 +458,7 @@ class SimulatorNode(Node):
         if busy or not self.paused:
             response.message = busy or 'refused: time runs; call ~/pause with data: true first'
             return response
-        self.make_steps(self._values['step_count'])
+        self.make_steps(self.values['step_count'])
         response.success = self.exit_code is None
         response.message = f'at {self.simulation.time:.9g} s' if response.success else (
             'the simulation has stopped')
@@ -524,10 +520,10 @@ class SimulatorNode(Node):
             for name, value in values.items():
                 CHANGEABLE[name].require_choice(value)
             changes = method_changes(
-                {**self._values, **values}, self._own_method, self.simulation.scene.method)
+                {**self.values, **values}, self._own_method, self.simulation.scene.method)
             if self.mode.name != REALTIME and (
                     'publish_rate' in values or 'step_size' in changes):
-                period_steps(values.get('publish_rate', self._values['publish_rate']),
+                period_steps(values.get('publish_rate', self.values['publish_rate']),
                              changes.get('step_size', self.simulation.step_size))
             if changes:
                 self.get_logger().info(
@@ -545,7 +541,7 @@ class SimulatorNode(Node):
     def _change(self, parameters):
         """Apply checked changes together."""
         values = self._changeable(parameters)
-        self._values.update(values)
+        self.values.update(values)
         if self._method_prepared is not None and set(values) & set(METHOD):
             take_effect, self._method_prepared = self._method_prepared, None
             with self._standing_still():
@@ -555,11 +551,11 @@ class SimulatorNode(Node):
             self.pacer.real_time_factor = values['real_time_factor']
             if self.mode.name == REALTIME:
                 self.simulation.stepping.pace = values['real_time_factor']
-        self.command.timeout = self._values['command_timeout']
+        self.command.timeout = self.values['command_timeout']
         if 'keep_core_awake' in values:
             self._attend_to_core()
         if {'publish_rate', 'step_size'} & set(values):
-            self.mode.set_rate(self._values['publish_rate'])
+            self.mode.set_rate(self.values['publish_rate'])
             self._renew_timer()
 
     @contextmanager
@@ -583,11 +579,7 @@ class SimulatorNode(Node):
         if self._beats and self.mode.name == REALTIME and self.running:
             self._due = time.monotonic() + self.mode.tick_period
         else:
-            # A steady clock: neither a jump of the system's time nor a stopped
-            # /clock may stop the simulation.
-            self.timer = self.create_timer(
-                self.mode.tick_period, self._on_timer,
-                clock=Clock(clock_type=ClockType.STEADY_TIME))
+            self.timer = self.every(self.mode.tick_period, self._on_timer)
         self._attend_to_core()
 
     def _stop_ticking(self):
@@ -625,7 +617,7 @@ class SimulatorNode(Node):
     def _attend_to_core(self):
         """Keep the core awake while that is wanted and time runs."""
         try:
-            self.idle_states.keep(self._values['keep_core_awake'] and self.running)
+            self.idle_states.keep(self.values['keep_core_awake'] and self.running)
         except OSError as error:
             self.get_logger().warning(f'keep_core_awake: not on this system ({error})')
 
@@ -664,8 +656,4 @@ class SimulatorNode(Node):
                 f'{message} ({more} more since the last such message)' if more else message)
 
 
-def main(args=None):
-    """Run the node; return the exit code."""
-    return run(SimulatorNode, NAME, usage(NAME, SimulatorNode, (
-        *SIMULATOR_PARAMETERS, *FRAME_PARAMETERS, *MARKER_PARAMETERS)), args,
-        timed=True, loses_nothing=True)
+main = SimulatorNode.main

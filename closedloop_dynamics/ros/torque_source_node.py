@@ -16,9 +16,9 @@ from closedloop_dynamics.recording.message_numbers import stamp_of
 from closedloop_dynamics.ros.commands import CommandError, poses_of, SERVICE_QOS
 from closedloop_dynamics.ros.joint_trajectory import points_of
 from closedloop_dynamics.ros.loading import load_simulation
+from closedloop_dynamics.ros.node import ProgramNode
 from closedloop_dynamics.ros.pacing import Throttle
-from closedloop_dynamics.ros.parameters import declare, usage, watch_changes
-from closedloop_dynamics.ros.process import run, StartError
+from closedloop_dynamics.ros.process import StartError
 from closedloop_dynamics.ros.timeline import Timeline
 from closedloop_dynamics.ros.torque_source_parameters import TORQUE_SOURCE_PARAMETERS
 from closedloop_dynamics.simulation.errors import SimulationError
@@ -26,16 +26,12 @@ import numpy as np
 from rcl_interfaces.msg import ParameterType
 from rcl_interfaces.msg import SetParametersResult
 from rcl_interfaces.srv import GetParameters
-from rclpy.clock import Clock
-from rclpy.clock import ClockType
-from rclpy.node import Node
 from rosidl_generator_py.import_type_support_impl import UnsupportedTypeSupport
 from sensor_msgs.msg import JointState
 from sensor_msgs.msg import MultiDOFJointState
 from std_msgs.msg import Float64MultiArray
 from trajectory_msgs.msg import JointTrajectory
 
-NAME = 'closedloop_torque_source'
 QUEUE_DEPTH = 10
 # Only the newest state is worth an answer: those that waited behind others while this process was
 # held up would be answered too late, which can make a control loop unstable. Several may wait all
@@ -136,7 +132,7 @@ class Orientations:
         return q, qd
 
 
-class TorqueSourceNode(Node):
+class TorqueSourceNode(ProgramNode):
     """
     Publish torques for the actuated joints of a simulator.
 
@@ -145,14 +141,14 @@ class TorqueSourceNode(Node):
     ``states``: subscription of modes with feedback.
     """
 
+    NAME, PARAMETERS = 'closedloop_torque_source', TORQUE_SOURCE_PARAMETERS
+    LOSES_NOTHING = True
+
     def __init__(self, **options):
-        super().__init__(NAME, **options)
-        self.exit_code = None
-        watch_changes(self)
+        super().__init__(**options)
         self.published = self.odd = 0
         self._timeline = Timeline(AHEAD, BEHIND, SEVERAL)
         self.joints = ()
-        self.values = declare(self, TORQUE_SOURCE_PARAMETERS)
         self._complaint = Throttle()
         self._expected = self.values['wait_for_subscribers']
         self._answered = None
@@ -176,7 +172,7 @@ class TorqueSourceNode(Node):
             self._check_without_joints()
             self._create_command(by_name=False)
             self._question = JointQuestion(self, self.values['simulator'])
-            self._every(QUESTION_PERIOD, self._request_joints)
+            self._timer = self.every(QUESTION_PERIOD, self._request_joints)
 
     def on_waiting_states(self, message):
         """Answer the newest usable one of a state and those that wait behind it."""
@@ -361,7 +357,9 @@ class TorqueSourceNode(Node):
                 self._action = self._create_action()
         else:
             self._epoch = None
-            self._every(1.0 / self.values['rate'], self.on_timer)
+            if self._timer is not None:
+                self.destroy_timer(self._timer)
+            self._timer = self.every(1.0 / self.values['rate'], self.on_timer)
         self.get_logger().info(f"mode {self.values['mode']}, driving {', '.join(joints)}")
 
     def _create_action(self):
@@ -473,14 +471,5 @@ class TorqueSourceNode(Node):
             return 'a position or velocity is not a finite number'
         return None
 
-    def _every(self, period, callback):
-        if self._timer is not None:
-            self.destroy_timer(self._timer)
-        self._timer = self.create_timer(
-            period, callback, clock=Clock(clock_type=ClockType.STEADY_TIME))
 
-
-def main(args=None):
-    """Run the node; return the exit code."""
-    return run(TorqueSourceNode, NAME, usage(
-        NAME, TorqueSourceNode, TORQUE_SOURCE_PARAMETERS), args, loses_nothing=True)
+main = TorqueSourceNode.main

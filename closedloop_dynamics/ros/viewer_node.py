@@ -23,9 +23,8 @@ from closedloop_dynamics.ros.commands import SERVICE_QOS
 from closedloop_dynamics.ros.loading import allow_code
 from closedloop_dynamics.ros.messages import (
     DEVIATIONS, ESTIMATED, ESTIMATED_TURNS, LATCHED_QOS)
-from closedloop_dynamics.ros.parameters import (
-    ALLOW_CODE, declare, Parameter, usage, watch_changes)
-from closedloop_dynamics.ros.process import run
+from closedloop_dynamics.ros.node import ProgramNode
+from closedloop_dynamics.ros.parameters import ALLOW_CODE, Parameter
 from closedloop_dynamics.ros.simulator_parameters import METHOD
 from closedloop_dynamics.simulation.errors import SimulationError
 from closedloop_dynamics.simulation.modeling import extent
@@ -50,15 +49,12 @@ from geometry_msgs.msg import WrenchStamped
 import numpy as np
 from rcl_interfaces.msg import Parameter as ParameterMessage
 from rcl_interfaces.srv import SetParametersAtomically
-from rclpy.clock import Clock, ClockType
-from rclpy.node import Node
 from rclpy.parameter import Parameter as RosParameter
 from rclpy.qos import QoSProfile
 from sensor_msgs.msg import JointState, MultiDOFJointState
 from std_msgs.msg import String
 from std_srvs.srv import SetBool, Trigger
 
-NAME = 'closedloop_viewer'
 # Frames per second; time between two looks for simulators; how long one may be silent before it is
 # said [s].
 RATE, POLL_PERIOD, SILENCE = 60.0, 0.25, 3.0
@@ -507,7 +503,7 @@ def _full_name(endpoint):
     return f'{endpoint.node_namespace.rstrip("/")}/{endpoint.node_name}'
 
 
-class ViewerNode(Node):
+class ViewerNode(ProgramNode):
     """
     Show running simulators in a browser.
 
@@ -515,18 +511,17 @@ class ViewerNode(Node):
     known.
     """
 
+    NAME, PARAMETERS = 'closedloop_viewer', VIEWER_PARAMETERS
+
     def __init__(self, **options):
-        super().__init__(NAME, **options)
-        watch_changes(self)
-        self.exit_code, self.server = None, None
-        self._values = declare(self, VIEWER_PARAMETERS)
-        allow_code(self._values[ALLOW_CODE.name])
-        self._wanted = list(map(self._full, self._values['nodes']))
-        self._estimator = self._values['estimator'] and self._full(self._values['estimator'])
+        super().__init__(**options)
+        self.server = None
+        allow_code(self.values[ALLOW_CODE.name])
+        self._wanted = list(map(self._full, self.values['nodes']))
+        self._estimator = self.values['estimator'] and self._full(self.values['estimator'])
         self._offered, self._shown, self._first = {}, {}, None
-        steady = Clock(clock_type=ClockType.STEADY_TIME)
-        self._timer = self.create_timer(POLL_PERIOD, self.poll_simulators, clock=steady)
-        self.create_timer(1.0 / RATE, self.tick, clock=steady)
+        self._timer = self.every(POLL_PERIOD, self.poll_simulators)
+        self.every(1.0 / RATE, self.tick)
         self.get_logger().info(
             f'looking for {", ".join(self._wanted) or "simulators"} ...')
 
@@ -585,10 +580,10 @@ class ViewerNode(Node):
         names = [one.name for one in shown]
         pages = [live_page(name, names if len(names) > 1 else ()) for name in names]
         try:
-            self.server = Server(pages, [one.feed for one in shown], self._values['host'],
-                                 self._values['port'])
+            self.server = Server(pages, [one.feed for one in shown], self.values['host'],
+                                 self.values['port'])
         except OSError as error:
-            self.get_logger().fatal(f"port {self._values['port']}: {error}")
+            self.get_logger().fatal(f"port {self.values['port']}: {error}")
             self.exit_code = 1
             return
         self.get_logger().info(f'{", ".join(names)} at {self.server.url}')
@@ -604,6 +599,4 @@ class ViewerNode(Node):
             self.server.close()
 
 
-def main(args=None):
-    """Run the node; return the exit code."""
-    return run(ViewerNode, NAME, usage(NAME, ViewerNode, VIEWER_PARAMETERS), args)
+main = ViewerNode.main

@@ -25,7 +25,7 @@ from test.ros.taker import Taker
 import time
 
 from closedloop_dynamics.ros.commands import SERVICE_QOS
-from closedloop_dynamics.ros.process import build_executor
+from closedloop_dynamics.ros.executor import build_executor
 from rcl_interfaces.srv import SetParameters
 import rclpy
 from rclpy.parameter import Parameter

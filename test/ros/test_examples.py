@@ -12,7 +12,7 @@ from xml.etree import ElementTree
 
 from closedloop_dynamics.control.references import solve
 from closedloop_dynamics.mechanism.config import config_directory
-from closedloop_dynamics.ros.process import build_executor
+from closedloop_dynamics.ros.executor import build_executor
 from closedloop_dynamics.simulation.simulation import Simulation
 from closedloop_dynamics.visual.srdf import srdf
 import numpy as np

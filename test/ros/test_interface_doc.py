@@ -11,7 +11,7 @@ from closedloop_dynamics.ros.frames import FRAME_PARAMETERS
 from closedloop_dynamics.ros.joint_states_node import JOINT_STATES_PARAMETERS
 from closedloop_dynamics.ros.markers import MARKER_PARAMETERS
 from closedloop_dynamics.ros.parameters import in_yaml
-from closedloop_dynamics.ros.recorder_node import PARAMETERS as RECORDER_PARAMETERS
+from closedloop_dynamics.ros.recorder_node import RECORDER_PARAMETERS
 from closedloop_dynamics.ros.simulator_node import SimulatorNode
 from closedloop_dynamics.ros.simulator_parameters import SIMULATOR_PARAMETERS
 from closedloop_dynamics.ros.torque_source_parameters import TORQUE_SOURCE_PARAMETERS

@@ -6,7 +6,7 @@
 import time
 
 from closedloop_dynamics.ros.commands import SequenceGaps, subscribe
-from closedloop_dynamics.ros.process import build_executor, VARIABLE
+from closedloop_dynamics.ros.executor import build_executor, VARIABLE
 import pytest
 from rclpy.node import Node
 from rclpy.qos import QoSProfile
