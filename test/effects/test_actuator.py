@@ -142,13 +142,6 @@ def test_work_of_a_constant_torque_is_exact():
     assert simulation.data.system.applied is simulation.data.system.tau
 
 
-@pytest.mark.parametrize('values', [
-    {'max_torque': 0.0}, {'max_speed': -1.0}, {'lag': -1.0}, {'delay': -1.0}])
-def test_impossible_drives_are_refused(values):
-    with pytest.raises(FieldError):
-        Actuator('slide', **values)
-
-
 def test_a_joint_that_is_not_driven_is_refused():
     with pytest.raises(FieldError, match='motor.joint'):
         simulated(slider_crank(), {'motor': Actuator('rod')}, [np.pi / 2.0, 0.866, -0.5236])

@@ -222,40 +222,6 @@ def test_a_figure_of_eight_is_refused_and_a_slot_is_not():
         curve.pieces((0, 1, 1, 0.5), (0, 0, 1, -1), False, 'linear', False)
 
 
-LINE = {'shape': 'line'}
-CURVE = {'shape': 'curve', 'x': (0.0, 1.0, 0.0), 'y': (0.0, 0.0, 1.0)}
-
-
-@pytest.mark.parametrize('values, key', [
-    ({**LINE, 'stiffness': 0.0}, 'stiffness'), ({**LINE, 'radius': -1.0}, 'radius'),
-    ({**LINE, 'exponent': 0.5}, 'exponent'), ({**LINE, 'hollow': True}, 'hollow'),
-    ({**LINE, 'restitution': 0.5}, 'restitution'),
-    ({**LINE, 'restitution': 1.5, 'impact_velocity': 1.0}, 'restitution'),
-    ({**LINE, 'restitution': 0.5, 'impact_velocity': 1.0, 'damping': 0.1}, 'damping'),
-    ({'shape': 'circle'}, 'other_radius'),
-    ({'shape': 'circle', 'other_radius': 0.1, 'radius': 0.2, 'hollow': True}, 'radius'),
-    ({**CURVE, 'x': (0.0, 1.0)}, 'x'), ({**CURVE, 'y': (0.0, 1.0)}, 'y'),
-    ({**CURVE, 'radii': (1.0, 1.0, 1.0)}, 'x'), ({'shape': 'curve'}, 'x'),
-    ({**CURVE, 'x': (0.0, 0.0, 1.0), 'y': (0.0, 0.0, 1.0)}, 'x[0]'),
-    ({**CURVE, 'x': (0.0, 3.7e298, 1.0)}, 'x'), ({**CURVE, 'x': (0.0, 1.0, 1e20)}, 'x'),
-    ({**CURVE, 'x': (0.0, 3.7e298, 1.0), 'interpolation': 'linear'}, 'x'),
-    ({'shape': 'curve', 'radii': (1.0, 1.0, 1e160, 1.0)}, 'x'),
-    ({**CURVE, 'other_radius': 1.0}, 'other_radius'),
-    ({'shape': 'curve', 'radii': (1.0, -1.0, 1.0)}, 'radii[1]'),
-    ({'shape': 'curve', 'radii': (1.0, 1.0, 1.0), 'polar': '1.0 + 0.1*sin(a)'}, 'x'),
-    ({'shape': 'curve', 'polar': '1.0 + 2*sin(a)'}, 'polar'),
-    ({'shape': 'curve', 'polar': '1.0 + sin(b)'}, 'polar'),
-    ({'shape': 'curve', 'polar': '0.03 + 0.002*a'}, 'polar'),
-    ({'shape': 'curve', 'polar': '1.0 + 0.1*sin(0.5*a + 1)', 'interpolation': 'linear'}, 'polar'),
-    ({'shape': 'face', 'polar': '0.03 + 1e-4*a'}, 'polar'),
-    ({'shape': 'face', 'polar': '1.0', 'radius': 0.1}, 'radius'), ({'shape': 'face'}, 'x'),
-    ({'shape': 'face', 'polar': '1.0', 'hollow': True}, 'hollow')])
-def test_impossible_contacts_are_refused(values, key):
-    with pytest.raises(FieldError) as refusal:
-        BodyContact('front', 'rear', **{'stiffness': 1.0, **values})
-    assert str(refusal.value).startswith(key + ': expected'), refusal.value
-
-
 def test_an_outline_that_jumps_after_a_turn_is_refused_with_the_jump():
     jump = 0.002 * 2.0 * math.pi
     with pytest.raises(FieldError, match=f'which jumps by {jump:.6g} m there, from '
@@ -263,11 +229,6 @@ def test_an_outline_that_jumps_after_a_turn_is_refused_with_the_jump():
         BodyContact('front', 'rear', 'curve', 1.0, polar='0.03 + 0.002*a')
     # Sines of 2 pi are rounded, which is no jump.
     assert BodyContact('front', 'rear', 'curve', 1.0, polar='0.03 + 0.002*sin(3*a)**3')
-
-
-def test_a_body_does_not_touch_itself():
-    with pytest.raises(FieldError, match='another body'):
-        simulated(flyer(), {'touch': BodyContact('ball', 'rim', 'line', 1.0)}, [0, 0, 0])
 
 
 def test_a_joint_with_clearance_is_that_of_an_independent_program():

@@ -7,7 +7,6 @@ import math
 
 from closedloop_dynamics.effects.fluid_drag import FluidDrag
 from closedloop_dynamics.effects.gravity import Gravity
-from closedloop_dynamics.mechanism.fields import FieldError
 import numpy as np
 import pytest
 
@@ -76,20 +75,3 @@ def test_bodies_in_space_are_moved_as_in_maximal_coordinates(seed):
     table = assert_moves(mechanism, q, qd, effects, pushes)
     assert_agree(table.rates[0::2].sum(), lost, 1e-11, smallest=1.0)
     assert_agree(table.rates[1::2].sum(), work, 1e-11, smallest=1.0)
-
-
-@pytest.mark.parametrize('values, key', [
-    ({'linear': (1.0, -1.0)}, 'linear[1]'), ({'quadratic': (1.0,)}, 'quadratic'),
-    ({'turning_linear': -1.0}, 'turning_linear'), ({'flow': 'x'}, 'flow')])
-def test_impossible_drags_are_refused(values, key):
-    with pytest.raises(FieldError) as refusal:
-        FluidDrag('center', **values)
-    assert str(refusal.value).startswith(key + ': expected'), refusal.value
-
-
-@pytest.mark.parametrize('values, key', [
-    ({'turning_linear': (1.0, 1.0, 1.0)}, 'turning_linear'), ({'linear': (1, 1, 1)}, 'linear'),
-    ({'orientation': (0.0, 0.0, 1.0, 0.0)}, 'orientation')])
-def test_keys_of_space_are_refused_in_the_plane(values, key):
-    with pytest.raises(FieldError, match=key):
-        FluidDrag('center', **values).fit(block())

@@ -7,7 +7,6 @@ from closedloop_dynamics.effects.force_table import ForceTable
 from closedloop_dynamics.effects.gravity import Gravity
 from closedloop_dynamics.effects.joint_spring import JointSpring
 from closedloop_dynamics.effects.point_spring import PointSpring
-from closedloop_dynamics.mechanism.fields import FieldError
 import numpy as np
 import pytest
 from scipy.interpolate import CubicSpline
@@ -66,17 +65,3 @@ def test_beyond_its_ends_a_table_goes_on_straight():
     table = ForceTable((0.0, 0.1, 0.2), (0.0, -1.0, -4.0), joint='slide')
     for q, force in ((-0.1, 1.0), (0.05, -0.5), (0.15, -2.5), (0.4, -10.0)):
         assert simulated(block(), {'spring': table}, [q]).acceleration[0] == pytest.approx(force)
-
-
-@pytest.mark.parametrize('values, key', [
-    ({}, 'joint'), ({'joint': 'slide', 'point_a': 'rim'}, 'joint'),
-    ({'point_a': 'rim'}, 'point_b'),
-    ({'joint': 'slide', 'strokes': (0.0,)}, 'strokes'),
-    ({'joint': 'slide', 'strokes': (0.0, 0.0)}, 'strokes[1]'),
-    ({'joint': 'slide', 'forces': (0.0,)}, 'forces'),
-    ({'joint': 'slide', 'damping': -1.0}, 'damping'),
-    ({'joint': 'slide', 'interpolation': 'quadratic'}, 'interpolation')])
-def test_impossible_tables_are_refused(values, key):
-    with pytest.raises(FieldError) as refusal:
-        ForceTable(**{'strokes': (0.0, 1.0), 'forces': (0.0, 1.0), **values})
-    assert str(refusal.value).startswith(key + ': expected'), refusal.value

@@ -4,7 +4,6 @@
 """Viscous damping in a joint."""
 
 from closedloop_dynamics.effects.joint_damping import JointDamping
-from closedloop_dynamics.mechanism.fields import FieldError
 import numpy as np
 import pytest
 
@@ -21,14 +20,3 @@ def test_rate_decays_exponentially_and_the_energy_is_dissipated():
         16.0 * (1.0 - np.exp(-3.0)), rel=1e-10)
     assert_balanced(simulation, 1e-11)
     assert simulation.effect_readings('oil')['torque'] == -3.0 * simulation.velocity[0]
-
-
-@pytest.mark.parametrize('values', [('slide', -1.0), ('slide', 'much'), (3, 1.0)])
-def test_impossible_dampers_are_refused(values):
-    with pytest.raises(FieldError):
-        JointDamping(*values)
-
-
-def test_an_unknown_joint_is_refused_by_name():
-    with pytest.raises(FieldError, match='effects.oil.joint.*slide.*slyde'):
-        simulated(block(), {'oil': JointDamping('slyde', 1.0)}, [0.0])

@@ -15,7 +15,6 @@ from closedloop_dynamics.effects.joint_spring import JointSpring
 from closedloop_dynamics.engine import native
 from closedloop_dynamics.integration import system
 from closedloop_dynamics.integration.registry import INTEGRATORS
-from closedloop_dynamics.mechanism.fields import FieldError
 from closedloop_dynamics.mechanism.mechanism import Body, Joint, Mechanism, REVOLUTE
 from closedloop_dynamics.simulation.modeling import build_model
 from closedloop_dynamics.simulation.scene import load_scene
@@ -285,14 +284,6 @@ def test_reactions_equal_those_of_maximal_coordinates(case):
         size = np.hypot(*reaction[:2]) if joint.type == REVOLUTE else abs(reaction[0])
         assert simulation.effect_readings(f'at_{joint.name}')['reaction'] == pytest.approx(
             size, rel=1e-8)
-
-
-@pytest.mark.parametrize('values', [
-    {'coulomb': -1.0}, {'static_ratio': 0.5}, {'stribeck_velocity': 0.0},
-    {'load_time': 0.0}, {'radius': 0.0}])
-def test_impossible_friction_is_refused(values):
-    with pytest.raises(FieldError):
-        JointFriction('slide', **values)
 
 
 def excavator_arm(friction, motion):

@@ -99,8 +99,3 @@ def test_several_springs_add_up():
         {'left': JointSpring('slide', 20.0), 'right': JointSpring('slide', 30.0)}))
     assert two.acceleration[0] == pytest.approx(one.acceleration[0], rel=1e-15)
     assert two.energy == pytest.approx(one.energy, rel=1e-15)
-
-
-def test_a_negative_stiffness_is_refused():
-    with pytest.raises(FieldError, match='stiffness'):
-        JointSpring('slide', -1.0)

@@ -272,30 +272,6 @@ def test_what_is_not_finite_at_the_start_is_refused(machine, text):
             simulated(machine(), {'it': law}, [0.5])
 
 
-@pytest.mark.parametrize('key, values', [
-    ('forces', {'forces': {}}), ('forces', {'forces': 'x'}), ('forces', {'forces': {'y': '1'}}),
-    ('forces.x', {'forces': {'x': True}}), ('forces.x', {'forces': {'x': [1.0]}}),
-    ('joints', {'joints': ['slide']}), ('joints', {'joints': {'1x': 'slide'}}),
-    ('joints.x', {'joints': {'x': 3}}), ('joints.t', {'joints': {'x': 'slide', 't': 'slide'}}),
-    ('joints.pi', {'joints': {'x': 'slide', 'pi': 'slide'}}),
-    ('joints.sin', {'joints': {'x': 'slide', 'sin': 'slide'}}),
-    ('rates.v', {'rates': {'v': 'y'}}), ('rates.x', {'rates': {'x': 'x'}}),
-    ('distances.d', {'distances': {'d': ['center']}}),
-    ('distances.d', {'distances': {'d': 'center'}}),
-    ('components.c', {'components': {'c': ['center', 'w']}}),
-    ('components.c', {'components': {'c': 'center'}}),
-    ('parameters.k', {'parameters': {'k': math.inf}}),
-    ('parameters.x', {'parameters': {'x': 1.0}}),
-    ('parameters', {'parameters': {f'k{n}': 1.0 for n in range(14)}}),
-    ('states.x', {'states': {'x': '1'}}), ('start', {'start': {'z': 1.0}}),
-    ('start.z', {'states': {'z': '1'}, 'start': {'z': 'a'}}),
-    ('readings', {'readings': {f'r{n}': '1' for n in range(4)}})])
-def test_impossible_laws_are_refused_with_their_key(key, values):
-    with pytest.raises(FieldError) as caught:
-        Law(**{'forces': {'x': '-x'}, 'joints': {'x': 'slide'}, **values})
-    assert str(caught.value).startswith(key)
-
-
 @pytest.mark.parametrize('machine, key, values', [
     (block, 'joints.x', {'forces': {'x': '1'}, 'joints': {'x': 'slid'}}),
     (block, r'distances.d\[1\]', {'distances': {'d': ['center', 'rear']}}),

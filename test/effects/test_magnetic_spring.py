@@ -6,7 +6,6 @@
 import math
 
 from closedloop_dynamics.effects.magnetic_spring import MagneticSpring
-from closedloop_dynamics.mechanism.fields import FieldError
 import numpy as np
 import pytest
 
@@ -67,11 +66,3 @@ def test_poles_in_space_pull_as_in_maximal_coordinates(seed):
         mechanism, q, qd, {'magnet': MagneticSpring('p0', 7.0, 0.3, 'p1')},
         [(bodies[0], arm_a, force, 0.0), (bodies[1], arm_b, -force, 0.0)])
     assert table.output[0, 0] == pytest.approx(-7.0 / math.sqrt(square), rel=1e-12)
-
-
-@pytest.mark.parametrize('values, match', [
-    ({'size': 0.0}, 'size'), ({'strength': math.nan}, 'strength'),
-    ({'anchor': (0.0, 0.0), 'point_b': 'tip'}, 'either point_b or anchor')])
-def test_impossible_poles_are_refused(values, match):
-    with pytest.raises(FieldError, match=match):
-        MagneticSpring(**{'point_a': 'center', 'strength': 1.0, 'size': 0.1, **values})

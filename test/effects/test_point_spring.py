@@ -5,7 +5,6 @@
 
 from closedloop_dynamics.effects.external_force import ExternalForce
 from closedloop_dynamics.effects.point_spring import PointSpring
-from closedloop_dynamics.mechanism.fields import FieldError
 import numpy as np
 import pytest
 
@@ -60,18 +59,3 @@ def test_a_constant_force_works_by_the_way_it_goes():
     way = simulation.point('rim') - start
     assert simulation.energy_balance.work == pytest.approx(way @ [2.0, -1.0], rel=1e-9)
     assert_balanced(simulation, 1e-9)
-
-
-@pytest.mark.parametrize('values', [
-    {}, {'point_b': 'front', 'anchor': (0.0, 0.0)}, {'point_b': 'front', 'stiffness': -1.0},
-    {'anchor': (0.0,)}])
-def test_impossible_springs_are_refused(values):
-    with pytest.raises(FieldError):
-        PointSpring('center', **values)
-
-
-def test_unknown_points_are_refused():
-    with pytest.raises(FieldError, match='point_b.*rear'):
-        simulated(block(), {'cord': PointSpring('center', 'rear')}, [0.0])
-    with pytest.raises(FieldError, match='push.point'):
-        simulated(block(), {'push': ExternalForce('rear')}, [0.0])

@@ -219,30 +219,3 @@ def test_what_is_no_expression_in_the_time_is_refused(text, message):
     with pytest.raises(FieldError, match=message) as refusal:
         PrescribedForce('expression', 'slide', expression=text)
     assert str(refusal.value).startswith('expression: expected an expression in t')
-
-
-TABLE = {'shape': 'table', 'joint': 'slide', 'times': (0.0, 1.0), 'values': (0.0, 1.0)}
-
-
-@pytest.mark.parametrize('values, key', [
-    ({'shape': 'sine', 'joint': 'slide', 'amplitude': 1.0}, 'frequency'),
-    ({'shape': 'sine', 'joint': 'slide', 'amplitude': 1.0, 'frequency': 0.0}, 'frequency'),
-    ({'shape': 'constant', 'joint': 'slide', 'amplitude': 1.0, 'rise': 1.0}, 'rise'),
-    ({'shape': 'constant', 'amplitude': 1.0}, 'joint'),
-    ({'shape': 'constant', 'joint': 'slide', 'point': 'center', 'amplitude': 1.0}, 'joint'),
-    ({'shape': 'constant', 'point': 'center', 'amplitude': 1.0}, 'direction'),
-    ({'shape': 'constant', 'point': 'center', 'amplitude': 1.0, 'direction': (0, 0)},
-     'direction'),
-    ({'shape': 'wave', 'joint': 'slide'}, 'shape'),
-    ({'shape': 'trapezoid', 'joint': 'slide', 'amplitude': 1.0, 'rise': -1.0}, 'rise'),
-    ({'shape': 'trapezoid', 'joint': 'slide', 'amplitude': 1.0, 'rise': 1.0, 'fall': 1.0}, 'fall'),
-    ({'shape': 'trapezoid', 'joint': 'slide', 'amplitude': 1.0, 'rise': 1.0, 'hold': 1.0,
-      'period': 2.0}, 'period'),
-    ({**TABLE, 'times': (0.0, 0.0)}, 'times[1]'), ({**TABLE, 'values': (0.0,)}, 'values'),
-    ({**TABLE, 'times': (0.0,), 'values': (1.0,)}, 'times'),
-    ({**TABLE, 'period': 2.0}, 'times'), ({**TABLE, 'values': (0.0, math.nan)}, 'values[1]'),
-    ({**TABLE, 'period': 1.0, 'interpolation': 'cubic'}, 'values[1]')])
-def test_impossible_courses_are_refused(values, key):
-    with pytest.raises(FieldError) as refusal:
-        PrescribedForce(**values)
-    assert str(refusal.value).startswith(key + ': expected'), refusal.value

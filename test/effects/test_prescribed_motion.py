@@ -277,14 +277,6 @@ def test_a_length_that_is_never_zero_is_a_motion():
         assert acceleration == pytest.approx(0.25 / length ** 3)
 
 
-def test_joints_and_points_that_there_are_not_are_refused():
-    for motion in (PrescribedMotion('constant', joint='slyde'),
-                   PrescribedMotion('constant', point='frond', direction=(1.0, 0.0)),
-                   PrescribedMotion('constant', point='front', direction=(1.0, 0.0, 0.0))):
-        with pytest.raises(FieldError):
-            simulated(block(), {'drive': motion}, [0.0])
-
-
 def test_independent_coordinates_are_refused():
     with pytest.raises(SimulationError, match='stabilisation: independent knows none'):
         Simulation.from_scene(

@@ -134,19 +134,3 @@ def test_a_payload_is_the_same_as_a_heavier_body():
     moment = 2.0 * 0.5 * np.cos(0.3) + 0.2 * np.cos(0.3) - 0.1 * np.sin(0.3)
     assert simulation.acceleration[0] == pytest.approx(-9.81 * moment / inertia, rel=1e-13)
     assert simulation.energy_balance.kinetic == pytest.approx(0.5 * inertia, rel=1e-13)
-
-
-@pytest.mark.parametrize('build', [
-    lambda: Rotor('hinge', -1.0), lambda: Rotor('hinge', 1.0, 0.0),
-    lambda: Payload('rod', -1.0), lambda: Payload('rod', 1.0, (0.0,)),
-    lambda: Payload('rod', 1.0, inertia=-0.1)])
-def test_impossible_masses_are_refused(build):
-    with pytest.raises(FieldError):
-        build()
-
-
-def test_unknown_bodies_and_joints_are_refused():
-    with pytest.raises(FieldError, match='part.body.*bar'):
-        simulated(pendulum(), {'part': Payload('bar', 1.0)}, [0.0])
-    with pytest.raises(FieldError, match='motor.joint'):
-        simulated(pendulum(), {'motor': Rotor('elbow', 1.0)}, [0.0])

@@ -31,7 +31,7 @@ from closedloop_dynamics.simulation.modeling import build_model, mechanism_array
 import numpy as np
 import pytest
 
-from .machines import assert_balanced, block, simulated
+from .machines import assert_balanced, simulated
 from ..reference import cases, spatial_linkages, spatial_machines, spatial_maximal as twin
 from ..reference.compare import assert_agree
 from ..reference.numbers import Numbers
@@ -448,42 +448,6 @@ def test_a_linkage_with_all_of_it_keeps_its_energy_in_balance():
     balance = one.energy_balance
     assert balance.dissipated > 1e-3 and abs(balance.work) > 1e-3
     assert_balanced(one, 1e-8)
-
-
-@pytest.mark.parametrize('record, expected', [
-    (ExternalForce('center', (1.0, 2.0)), 'force: .*3 finite numbers'),
-    (ExternalForce('center', (1.0, 2.0, 3.0), 1.0), 'torque: .*3 finite numbers'),
-    (PointSpring('center', anchor=(0.0, 0.0)), 'anchor: .*3 finite numbers'),
-    (Contact('center', (0.0, 0.0, 0.0), 1.0), 'normal: .*normal .* got none'),
-    (Contact('center', (0.0, 0.0, 0.0), 1.0, angle=0.1, normal=(0.0, 0.0, 1.0)),
-     'angle: .*no angle'),
-    (Payload('ball', 1.0, (0.0, 1.0)), 'position: .*3 finite numbers'),
-    (Bushing('center', anchor=(0.0, 0.0, 0.0), angle=0.1), 'angle: .*no such key in space'),
-    (Bushing('center', anchor=(0.0, 0.0, 0.0), damping=(1.0, 1.0)), 'damping: .*3 finite'),
-    (Cable(('center', 'center', 'center'), 1.0, 1.0, radii=(0.0, 0.1, 0.0)),
-     'axis: .*the axis of pulleys that have a radius'),
-    (Payload('ball', 1.0, inertia=0.1), 'inertia: .*list of 3')])
-def test_values_of_the_plane_are_refused_in_space(record, expected):
-    with pytest.raises(FieldError, match=expected):
-        simulated(point_mass(), {'effect': record}, (0.0, 0.0, 0.0))
-
-
-@pytest.mark.parametrize('record, expected', [
-    (ExternalForce('center', (1.0, 2.0, 3.0)), 'force: .*2 finite numbers'),
-    (ExternalForce('center', torque=(1.0, 2.0, 3.0)), 'torque: .*a finite number'),
-    (Contact('center', (0.0, 0.0), 1.0, normal=(0.0, 1.0, 0.0)), 'normal: .*no normal'),
-    (Rotor('slide', 1.0, axis=(0.0, 0.0, 1.0)), 'axis: .*no axis'),
-    (Cable(('center', 'front', 'center'), 1.0, 1.0, radii=(0.0, 0.1, 0.0), axis=(0.0, 0.0, 1.0)),
-     'axis: .*no axis in the plane'),
-    (Bushing('center', anchor=(0.0, 0.0), stiffness=(1.0, 1.0, 1.0)), 'stiffness: .*2 finite'),
-    (Bushing('center', anchor=(0.0, 0.0), turning_stiffness=(1.0, 1.0, 1.0)),
-     'turning_stiffness: .*one number'),
-    (Bushing('center', anchor=(0.0, 0.0), orientation=(0.0, 0.0, 1.0, 0.0)),
-     'orientation: .*no such key in the plane'),
-    (Payload('block', 1.0, inertia=(0.1, 0.1, 0.1)), 'inertia: .*zero or more')])
-def test_values_of_space_are_refused_in_the_plane(record, expected):
-    with pytest.raises(FieldError, match=expected):
-        simulated(block(), {'effect': record}, (0.0,))
 
 
 def two_wheels():

@@ -7,7 +7,6 @@ from closedloop_dynamics.effects.end_stop import EndStop
 from closedloop_dynamics.effects.joint_damping import JointDamping
 from closedloop_dynamics.effects.joint_spring import JointSpring
 from closedloop_dynamics.effects.tendon import Tendon
-from closedloop_dynamics.mechanism.fields import FieldError
 import numpy as np
 import pytest
 
@@ -64,20 +63,3 @@ def test_a_range_of_rest_is_an_end_stop_at_both_ends():
         one, other = (simulated(block(), {'stop': stop}, [start]) for stop in (
             Tendon({'slide': 1.0}, 1e3, rest=(-0.2, 0.3)), EndStop('slide', 1e3, -0.2, 0.3)))
         assert one.acceleration[0] == pytest.approx(other.acceleration[0], rel=1e-12)
-
-
-@pytest.mark.parametrize('values, key', [
-    ({'arms': {}}, 'arms'), ({'arms': 'slide'}, 'arms'), ({'arms': {'slide': 'x'}}, 'arms.slide'),
-    ({'stiffness': 'x'}, 'stiffness'), ({'stiffness': [1.0, None]}, 'stiffness[1]'),
-    ({'damping': float('nan')}, 'damping'), ({'rest': (1.0, 0.0)}, 'rest'),
-    ({'rest': (1.0,)}, 'rest')])
-def test_impossible_tendons_are_refused(values, key):
-    with pytest.raises(FieldError) as refusal:
-        Tendon(**{'arms': {'slide': 1.0}, **values})
-    assert str(refusal.value).startswith(key), refusal.value
-    assert 'expected' in str(refusal.value)
-
-
-def test_an_unknown_joint_is_refused():
-    with pytest.raises(FieldError, match='arms: expected'):
-        Tendon({'slid': 1.0}).fit(block())

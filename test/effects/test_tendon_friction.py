@@ -7,7 +7,6 @@ from closedloop_dynamics.effects.external_force import ExternalForce
 from closedloop_dynamics.effects.gravity import Gravity
 from closedloop_dynamics.effects.joint_friction import JointFriction
 from closedloop_dynamics.effects.tendon_friction import TendonFriction
-from closedloop_dynamics.mechanism.fields import FieldError
 import numpy as np
 import pytest
 
@@ -78,13 +77,3 @@ def test_in_a_machine_with_loops_it_comes_to_rest_and_the_balance_closes():
     simulation.step(duration=0.5)
     assert simulation.energy_balance.dissipated > 0.0
     assert_balanced(simulation, 1e-7)
-
-
-@pytest.mark.parametrize('values, key', [
-    ({'coulomb': -1.0}, 'coulomb'), ({'arms': {}}, 'arms'), ({'coulomb': 'x'}, 'coulomb')])
-def test_impossible_friction_is_refused(values, key):
-    with pytest.raises(FieldError) as refusal:
-        TendonFriction(**{'arms': {'slide': 1.0}, **values})
-    assert str(refusal.value).startswith(key), refusal.value
-    with pytest.raises(FieldError, match='arms: expected'):
-        TendonFriction({'slid': 1.0}).fit(block())

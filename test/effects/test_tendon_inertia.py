@@ -8,7 +8,6 @@ from closedloop_dynamics.effects.gravity import Gravity
 from closedloop_dynamics.effects.rotor import Rotor
 from closedloop_dynamics.effects.tendon_friction import TendonFriction
 from closedloop_dynamics.effects.tendon_inertia import TendonInertia
-from closedloop_dynamics.mechanism.fields import FieldError
 import numpy as np
 import pytest
 
@@ -71,10 +70,3 @@ def test_beside_friction_at_rest_nothing_of_it_acts():
     assert abs(simulation.acceleration[0]) < 1e-15
     simulation.set_effect('push', force=(2.0, 0.0))
     assert simulation.acceleration[0] == pytest.approx(1.0 / 5.0, rel=1e-13)
-
-
-def test_an_impossible_inertia_is_refused():
-    with pytest.raises(FieldError, match='inertia'):
-        TendonInertia({'slide': 1.0}, -1.0)
-    with pytest.raises(FieldError, match='arms: expected'):
-        TendonInertia({'slid': 1.0}, 1.0).fit(block())
