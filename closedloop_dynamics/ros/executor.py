@@ -7,9 +7,9 @@ The executor of the nodes, and the waiting for what has to be done in time.
 rclpy's events executor takes a third of the processor time of the single-threaded one (0.1 ms for
 each message against 0.3 ms), which rebuilds its wait set for every message, and a seventh of that
 of the one with several threads and callback groups (0.7 ms). Its ``spin()`` does not work in every
-build of rclpy, and neither does ``spin_once()`` without a timeout; with one it does. Its timers and
-timeouts wake up a thread of its own first, and that one the caller: what has to happen in time is
-slept for here.
+build of rclpy, and neither does ``spin_once()`` without a timeout; with one it does. Its timers
+and timeouts wake up a thread of its own first, and that one the caller: what has to happen in time
+is slept for here.
 
 A step of a simulation may take long: next to a singular position, or while code for one is
 compiled. It is made outside the executor, which is not reentrant. While that takes long, a thread
