@@ -7,7 +7,10 @@ from dataclasses import replace
 import math
 
 from closedloop_dynamics.effects.gravity import Gravity
+from closedloop_dynamics.effects.registry import EFFECTS
 from closedloop_dynamics.formats.in_space import in_space as lifted
+from closedloop_dynamics.integration.control import SHARE
+from closedloop_dynamics.integration.registry import FIXED as FIXED_STEP, INTEGRATORS
 from closedloop_dynamics.mechanism.mechanism import (
     Body, CutJoint, FIXED, GROUND, Joint, Mechanism, REVOLUTE)
 from closedloop_dynamics.mechanism.rotations import composed, of_quaternion
@@ -21,11 +24,90 @@ G = 9.81
 DIRECTION = 0.7
 # Of a plane in space, a unit quaternion; along no axis of the world.
 TURN = tuple((np.array([1.0, 2.0, 3.0, 9.0]) / math.sqrt(95.0)).tolist())
+# Of error-controlled methods: rounding, almost.
+TIGHT = 1e-11
 
 
 def started(name, method, **keys):
     """Return a simulation of a shipped scene by a method, with other values of its keys."""
     return Simulation(replace(load_scene(name), method=replace(method, **keys)))
+
+
+def fixed(method):
+    """Return whether a method makes steps of a fixed size."""
+    return INTEGRATORS[method.integrator].kind == FIXED_STEP
+
+
+def own_step(method, step_size):
+    """Return a step size, a tenth of it for a method of order 1, whose error would hide others."""
+    return 0.1 * step_size if method.integrator == 'semi_implicit_euler' else step_size
+
+
+def tight(method, step_size, tolerance=TIGHT):
+    """Return a method with its ``own_step`` and a tolerance."""
+    return replace(method, step_size=own_step(method, step_size), tolerance=tolerance,
+                   accuracy=tolerance / SHARE)
+
+
+def stepped(count):
+    """Return an advance, for ``worst_of``: so many steps, one by one."""
+    def advance(simulation):
+        for _ in range(count):
+            simulation.step()
+    return advance
+
+
+def worst_of(simulation, looks, advance, *figures, bound=math.inf):
+    """
+    Return the worst figure along a motion, infinity where it reaches a bound.
+
+    Parameters
+    ----------
+    simulation : simulation.simulation.Simulation
+        Advanced without torques.
+    looks : int
+        How often figures are looked at.
+    advance : float, int or callable
+        How it comes from one look to the next: a duration [s], a number of steps that are made
+        at once, or a function of the simulation.
+    figures : callable
+        Of the simulation.
+    bound : float, optional
+        Where it reaches this, the rest of the motion says nothing more.
+
+    """
+    worst, tau = 0.0, np.zeros(len(simulation.torque_names))
+    for _ in range(looks):
+        if callable(advance):
+            advance(simulation)
+        elif isinstance(advance, int):
+            simulation.advance(tau, advance)
+        else:
+            simulation.step(duration=advance)
+        worst = max(worst, *(figure(simulation) for figure in figures))
+        if not worst < bound:
+            return math.inf
+    return worst
+
+
+def energy_error(simulation, scale=None, gained=False):
+    """
+    Return a figure: how far the energy is from that at present, relative.
+
+    In ``scale`` [J], or over the present one; or how far it is above that, where only energy that
+    is ``gained`` counts.
+    """
+    start = simulation.energy
+    if scale is None:
+        return lambda one: abs(one.energy / start - 1.0)
+    return lambda one: (one.energy - start if gained else abs(one.energy - start)) / scale
+
+
+def effect_of(keys):
+    """Return the effect that keys of a scene describe."""
+    return EFFECTS[keys['type']](**{
+        key: tuple(value) if isinstance(value, list) else value
+        for key, value in keys.items() if key != 'type'})
 
 
 def bar(name, mass, length):
@@ -70,8 +152,9 @@ def ladder_energy(loops):
     return 0.5 * ((loops + 1) / 3.0 + loops) + G * ((loops + 1) / 2.0 + loops)
 
 
-def off_the_branch(position):
-    """Return how far the ladder's legs are from parallel [rad]."""
+def off_the_branch(simulation):
+    """Return how far a ladder's legs are from parallel [rad]."""
+    position = simulation.position
     legs, knees = position[::2], position[1::2]
     return max(np.abs(legs - legs[0]).max(), np.abs(knees + legs[0]).max())
 

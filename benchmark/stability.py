@@ -10,25 +10,20 @@ means: accurate, degraded but stable, refused with a reason, or unstable: silent
 doc/stability_cases.md lists every case. Exit code 1 where the default method is unstable.
 """
 
-import argparse
 import math
 from pathlib import Path
 import sys
 import warnings
 
-from machine import ROOT
-
-sys.path.insert(0, str(ROOT))
-
-from closedloop_dynamics.mechanism.extras import of_an_extra  # noqa: E402,I100
-from closedloop_dynamics.simulation.errors import InaccuracyWarning  # noqa: E402
-from closedloop_dynamics.simulation.scene_records import Method  # noqa: E402
-from closedloop_dynamics.visual.appearance import DOTS_PER_INCH  # noqa: E402
-from closedloop_dynamics.visual.progress import parts_bar  # noqa: E402
-from closedloop_dynamics.visual.tables import (  # noqa: E402
-    markdown_table, text_table, write_csv)
-from hard_cases import (  # noqa: E402
-    ACCURATE, CASES, DEGRADED, judge, Outcome, REFUSED, SKIPPED, UNSTABLE)
+from closedloop_dynamics.simulation.errors import InaccuracyWarning
+from closedloop_dynamics.simulation.scene_records import Method
+from closedloop_dynamics.visual.appearance import DOTS_PER_INCH
+from closedloop_dynamics.visual.progress import parts_bar
+from closedloop_dynamics.visual.tables import markdown_table, text_table, write_csv
+from hard_cases import ACCURATE, CASES, DEGRADED, judge, Outcome, REFUSED, SKIPPED, UNSTABLE
+from machine import parser_of
+from matplotlib.figure import Figure
+from matplotlib.patches import Patch, Rectangle
 
 METHODS = {
     'auto (default)': Method(),
@@ -106,9 +101,6 @@ OUTCOME_COLORS = {ACCURATE: '#8fd0b5', DEGRADED: '#f3dc82', REFUSED: '#b9c4d4',
 
 def stability_atlas(atlas, cases=CASES, methods=METHODS):
     """Draw the atlas."""
-    with of_an_extra():
-        from matplotlib.figure import Figure
-        from matplotlib.patches import Patch
     figure = Figure(figsize=(0.82 * len(methods) + 2.6, 0.26 * len(cases) + 2.2),
                     dpi=DOTS_PER_INCH, layout='constrained')
     axes = figure.subplots()
@@ -120,10 +112,9 @@ def stability_atlas(atlas, cases=CASES, methods=METHODS):
             groups[case.group] = height
             height += 0.65
         heights[case.name] = height
-        height += 1.0
-    for case in cases:
         for column, name in enumerate(names):
-            _cell(axes, column, heights[case.name], atlas[case.name, name])
+            _cell(axes, column, height, atlas[case.name, name])
+        height += 1.0
     for group, place in groups.items():
         axes.text(-0.5, place - 0.05, group, fontweight='bold', fontsize=9, va='center',
                   ha='left')
@@ -146,8 +137,6 @@ def stability_atlas(atlas, cases=CASES, methods=METHODS):
 
 def _cell(axes, column, row, outcome):
     """Draw one cell: a coloured box with the figure in it."""
-    with of_an_extra():
-        from matplotlib.patches import Rectangle
     axes.add_patch(Rectangle((column - 0.48, row - 0.45), 0.96, 0.9, linewidth=0,
                              facecolor=OUTCOME_COLORS[outcome.status]))
     text = {REFUSED: 'refused', SKIPPED: '-'}.get(outcome.status, f'{outcome.figure:.1e}')
@@ -157,13 +146,10 @@ def _cell(axes, column, row, outcome):
 
 def main(arguments=None):
     """Run the hard cases; return the exit code."""
-    parser = argparse.ArgumentParser(
-        description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser = parser_of(__doc__, 'fewer trials and shorter runs of the default method, too')
     parser.add_argument('--output', type=Path, metavar='DIR',
                         help='where to write stability.csv, stability_table.md and '
                              'stability_atlas.png (default: only print)')
-    parser.add_argument('--quick', action='store_true',
-                        help='fewer trials and shorter runs of the default method, too')
     parser.add_argument('--case', action='append', metavar='NAME', default=[],
                         help='only the cases whose name contains this; may be repeated')
     parser.add_argument('--default-only', action='store_true',
