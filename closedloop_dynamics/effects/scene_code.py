@@ -124,6 +124,14 @@ def energies_in_lanes(model, table):
         table, calls.AT_REST), LANES, calls.ENERGIES)
 
 
+def balances_in_parts(table):
+    """Return whether no evaluation of a scene has the responses to all frictions at rest."""
+    balanced = table.role.tolist()
+    return not len(table.cuts.index) and (
+        INERTIA in balanced or balanced.count(FRICTION) > _MOST_FRICTIONS or (
+            FRICTION in balanced and MOTION in balanced))
+
+
 def _addresses(model, table, key, form=PACKED):
     """Return the addresses of the evaluations of a scene by place of the function table."""
     found = {calls.EVALUATION: address_of_scene(model, key, lambda: SceneLaws(table), form)}

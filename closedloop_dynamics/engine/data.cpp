@@ -22,6 +22,9 @@ static_assert(
 
 namespace
 {
+// Many more than the operations of the largest routine.
+constexpr Index MOST_FACTORS = 1'000'000;
+
 void require(bool good, const char * what)
 {
   if (!good) {
@@ -236,6 +239,10 @@ void Data::link(Indices code)
   table = Array<Indices>(routine::TABLE_COLUMNS);
   closedloop::copy(code, table.part(0, code.size));
   corrections = Array<Table>(2, code.size == 0 ? 0 : nv());
+  require(
+    table[routine::FACTORS] >= 0 && table[routine::FACTORS] <= MOST_FACTORS,
+    "expected how many factors are kept");
+  factors = Array<Values>(table[routine::FACTORS]);
   const bool feels = has_effects() && effects.loaded[0] != 0;
   const bool is_whole = !has_effects() || effects.code.fits[0] != 0;
   require(
@@ -267,7 +274,8 @@ void Data::connect()
     {routine::PRESENT, effects.code.present.data}, {routine::SIDES, effects.code.sides.data},
     {routine::GAPS, effects.contacts.now.data}, {routine::TRIALS, effects.contacts.trial.data},
     {routine::RATES, effects.rates.data}, {routine::RESPONSE, effects.static_friction.response.data},
-    {routine::LIMIT, effects.static_friction.right.data}};
+    {routine::LIMIT, effects.static_friction.right.data},
+    {routine::FACTORS, factors.data}};
   for (const auto & each : arrays) {
     table[each.place] = reinterpret_cast<Index>(each.array);
   }

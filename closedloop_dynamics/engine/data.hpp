@@ -145,6 +145,8 @@ struct Data
   /// Shape (2, nv): of coordinates and rates, as generated routines leave them; of no columns where
   /// there are no such routines.
   Array<Table> corrections;
+  /// What routine::ACCELERATION keeps for routine::TORQUE_RESPONSE, if there is one.
+  Array<Values> factors;
   Manifold manifold;
   AllEquations whole;
   JointPlaces joints;
@@ -161,7 +163,8 @@ struct Data
   std::shared_ptr<LatestEvaluation> latest = std::make_shared<LatestEvaluation>();
 
   /// Throws std::invalid_argument. `all`: with the equations, too, that `model` leaves out; `code`:
-  /// addresses of routines, by place in the function table; of no length where there are none.
+  /// addresses of routines, by place in the function table, and how many factors they keep; of no
+  /// length where there are none.
   Data(
     const Model & model, const Model & all, const Settings &, const JointPlaces &,
     const EffectTable &, Indices code);
@@ -196,8 +199,8 @@ struct Data
   Values qd(Values state) const {return state.part(nq(), nv());}
 
   CLOSEDLOOP_ARRAYS(
-    model, work, partition, settings, tau, qdd, lam, effects, table, corrections, manifold, whole,
-    joints, passage)
+    model, work, partition, settings, tau, qdd, lam, effects, table, corrections, factors, manifold,
+    whole, joints, passage)
 
 private:
   /// Give the function table routines, and the addresses of the arrays that they work on.

@@ -175,6 +175,9 @@ bool respond(
 {
   const Values applied = system.effects.applied;
   const Values qdd = out.part(0, system.nv()), lam = out.part(system.nv(), system.lam.size);
+  if (factors == Factors::CODE && system.table[routine::TORQUE_RESPONSE] != 0) {
+    return call(system.table, routine::TORQUE_RESPONSE, applied, out);
+  }
   if (factors == Factors::CODE) {
     for (Index i = 0; i < applied.size; ++i) {
       applied[i] += others[i];

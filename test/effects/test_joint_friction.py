@@ -6,6 +6,7 @@
 from dataclasses import replace
 
 from closedloop_dynamics import Simulation
+from closedloop_dynamics.core.codegen import TORQUE_RESPONSE
 from closedloop_dynamics.effects.dry_friction import dry_friction
 from closedloop_dynamics.effects.effect_table import EffectTable
 from closedloop_dynamics.effects.element import DISSIPATED, ForceElement, OWN, State
@@ -418,3 +419,33 @@ def test_a_step_among_joints_at_rest_is_that_of_evaluations_one_by_one(operation
     np.testing.assert_allclose(found, expected, rtol=0, atol=1e-12 * np.abs(expected).max())
     # The responses of one evaluation of the step serve the three others.
     assert simulation.health.evaluations - before < 4 * (count + 1)
+
+
+def scissor_lift_with_dry_hinges():
+    """Return a simulation of a ladder of loops at rest, with dry friction in every hinge."""
+    scene = load_scene('scissor_lift')
+    hinges = [joint.name for joint in scene.mechanism.joints if joint.type == 'revolute']
+    return Simulation(replace(scene, initial=replace(
+        scene.initial, velocity=tuple(0.0 * np.array(scene.initial.velocity))), effects={
+            **scene.effects, **{f'dry_{joint}': JointFriction(joint, 0.5 + 0.1 * number)
+                                for number, joint in enumerate(hinges)}}))
+
+
+@pytest.mark.parametrize('simulation_of', [
+    scissor_lift_with_dry_hinges, lambda: chain_of_hinges(10)], ids=['scissor_lift', 'chain'])
+def test_friction_at_rest_is_balanced_by_the_factors_of_the_evaluation(simulation_of):
+    found, evaluations = [], []
+    for by_factors in (True, False):
+        simulation = simulation_of()
+        routines = simulation.data.system.table
+        assert routines[TORQUE_RESPONSE] != 0
+        if not by_factors:
+            routines[TORQUE_RESPONSE] = 0
+        before = simulation.health.evaluations
+        found.append(np.hstack(simulation.forward_dynamics(
+            simulation.position, simulation.velocity,
+            np.linspace(-3.0, 40.0, len(simulation.actuated_joints)))))
+        evaluations.append(simulation.health.evaluations - before)
+    assert np.abs(found[1]).max() > 1e-3
+    np.testing.assert_allclose(found[0], found[1], rtol=0, atol=1e-11 * np.abs(found[1]).max())
+    assert evaluations[0] <= 2 and evaluations[1] > 5

@@ -10,6 +10,7 @@ import re
 import sys
 import weakref
 
+from closedloop_dynamics.core.codegen import function_table as calls
 from closedloop_dynamics.core.types import BODY_A, CUT_NUMBER, CUT_TYPE, PATH_B
 from closedloop_dynamics.engine import native
 from closedloop_dynamics.integration.registry import PROJECTION
@@ -236,6 +237,10 @@ def test_a_system_is_of_one_mechanism_and_linked(system):
     table, none = one.table.copy(), (
         np.zeros(0, dtype=np.int64), np.zeros((0, 2), dtype=np.int64), np.zeros((0, 2)))
     values = 0.0, 1.0, 1e-9, False
+    # There is the address of the factors; code says how many there are.
+    with pytest.raises(ValueError, match='expected how many factors are kept'):
+        native.system(one.model, one.model, None, *none, *values, table)
+    table[calls.FACTORS] = 0
     native.system(one.model, one.model, None, *none, *values, table)
     for code in (table[1:].copy(), np.zeros_like(table)):
         with pytest.raises(ValueError, match='addresses of'):

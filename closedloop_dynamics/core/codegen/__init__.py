@@ -14,12 +14,14 @@ kernels for each kind of body, which the engine's loops over bodies call (``join
 import numpy as np
 
 from .function_table import (
-    ALWAYS, BODY, LEAST_FORCES, LEFT_OUT, LOOP_EQUATIONS, OF_FORCES, REACTIONS, REFINED, WRENCHES)
+    ALWAYS, BODY, LEAST_FORCES, LEFT_OUT, LOOP_EQUATIONS, OF_FORCES, REACTIONS, REFINED,
+    TORQUE_RESPONSE, WRENCHES)
 from .machine_code import announced_by
-from .routines import addresses, unrolled_size
+from .routines import addresses, unrolled_size, with_torque_response
 
 __all__ = ['ALWAYS', 'announced_by', 'LEAST_FORCES', 'LEFT_OUT', 'link', 'LOOP_EQUATIONS',
-           'OF_FORCES', 'REACTIONS', 'REFINED', 'relink', 'unrolled_size', 'WRENCHES']
+           'OF_FORCES', 'REACTIONS', 'REFINED', 'relink', 'TORQUE_RESPONSE', 'unrolled_size',
+           'WRENCHES']
 
 
 def link(model, table, which=ALWAYS, joints=None):
@@ -28,7 +30,9 @@ def link(model, table, which=ALWAYS, joints=None):
 
     ``joints`` are for LEAST_FORCES and LEFT_OUT.
     """
-    for place, address in addresses(model, which, joints=joints).items():
+    found = with_torque_response(model) if TORQUE_RESPONSE in which else {}
+    others = tuple(one for one in which if one not in found and one != TORQUE_RESPONSE)
+    for place, address in {**addresses(model, others, joints=joints), **found}.items():
         table[place] = address
 
 
@@ -36,7 +40,9 @@ def relink(model, table, joints=None, but=()):
     """
     Replace the routines of a function table, when the structure of the model has changed.
 
-    Those at the places ``but`` are left as they are.
+    Those at the places ``but`` are left as they are; TORQUE_RESPONSE goes, as there is room for
+    the factors of the former structure.
     """
+    table[TORQUE_RESPONSE] = 0
     link(model, table, tuple(
         one for one in np.flatnonzero(table[:BODY]).tolist() if one not in but), joints)

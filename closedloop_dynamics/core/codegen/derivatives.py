@@ -17,7 +17,7 @@ changes along the loops is what a closing change of all of them adds up to.
 
 from . import arms, elimination, forward_dynamics
 from .differentiation import differentiated
-from .expression_graph import ExpressionGraph, Q, QD, Routine
+from .expression_graph import ExpressionGraph, graph_of, Q, QD, Routine
 from .function_table import CLOSURE, LAM, LANES, QDD, SHARED
 from .linear_map import divided
 from .routines import zeros
@@ -29,13 +29,13 @@ from ..types import (
     BODY_A, BODY_B, COORDINATE, CUT_ROW, DINV, DOF, NO_RESPONSES, PARENT, RHS, ROW, ROWS)
 
 # Outputs: d (J qd) / d (q, qd), in columns of nc numbers; and J, in rows.
-RATE, JACOBIAN = 45, 46
+RATE, JACOBIAN = 46, 47
 # Output: wrenches in joints.
-JOINT_FORCE = 48
+JOINT_FORCE = 50
 # Output, and input: changes of the residuals, in columns lane by lane.
-COLUMN = 53
+COLUMN = 55
 # Output: changes of the rates of the effects' states, as those of closure rates.
-FLOW = 54
+FLOW = 56
 # Half the product of a quaternion x, y, z, w and an axis of the child: place and sign of what each
 # component changes by.
 _TURN = (((3, 1), (2, 1), (1, -1), (0, -1)), ((2, -1), (3, 1), (0, 1), (1, -1)),
@@ -88,7 +88,7 @@ class DerivativeTrace(SceneTrace):
         found, factors = divided(
             self.graph, self.solved(list(self.symbols(COLUMN, (count,)))), COLUMN, SHARED)
         self.outputs += [(SHARED, n, factor) for n, factor in enumerate(factors)]
-        solve = Routine('solve', next(one.graph for one in found if hasattr(one, 'graph')),
+        solve = Routine('solve', graph_of(found),
                         [(QD, n, value) for n, value in enumerate(found)])
         shared = Routine('shared', ExpressionGraph(), [(Q, 0, float(len(factors)))])
         return [self.named('residuals'), shared], [solve]

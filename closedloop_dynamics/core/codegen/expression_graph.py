@@ -54,6 +54,11 @@ class ExpressionGraph:
         return Symbol(self, place)
 
 
+def graph_of(values):
+    """Return the graph of the first symbol among values, an empty one where all are numbers."""
+    return next((one.graph for one in values if isinstance(one, Symbol)), ExpressionGraph())
+
+
 class Routine:
     """
     Arithmetic of a graph with its inputs and outputs, and the name of its machine code's symbol.

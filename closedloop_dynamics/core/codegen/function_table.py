@@ -19,10 +19,11 @@ import numpy as np
 # multipliers of all. Of a scene also the evaluation where a joint under dry friction is at rest,
 # and that without the friction of all that are, with the response to each. Last the closure
 # equations alone, for places around a singular position, whether accelerations fulfil the
-# equations that are left out, and of a scene its energies.
+# equations that are left out, of a scene its energies, and what torques add to the accelerations
+# and multipliers of the latest evaluation in parts.
 (EVALUATION, OUTWARD, ACCELERATION, CORRECTION, REFINED_ACCELERATION, REFINED_CORRECTION,
  REACTIONS, WRENCHES, LEAST_FORCES, AT_REST, RESPONSES, LOOP_EQUATIONS,
- LEFT_OUT, ENERGIES) = range(14)
+ LEFT_OUT, ENERGIES, TORQUE_RESPONSE) = range(15)
 ALWAYS = (EVALUATION, OUTWARD, ACCELERATION, CORRECTION)
 REFINED = (REFINED_ACCELERATION, REFINED_CORRECTION)
 OF_FORCES = (WRENCHES, LEAST_FORCES, LEFT_OUT)
@@ -30,29 +31,31 @@ OF_SCENE = (EVALUATION, AT_REST, RESPONSES)
 # Addresses of arrays; the last ones are of effects (``engine/effect_table.hpp``).
 (BODY, GRAVITY, CUT_POINT, TAU, BAUMGARTE, QDD, LAM, HEALTH, WORK_BODY, CLOSURE, CLOSURE_RATE,
  CORRECTIONS, REACTION, COMMAND, VALUES, ENTRIES, CUT_VALUES, PRESENT, SIDES, GAPS, TRIALS,
- RATES) = range(14, 36)
+ RATES) = range(15, 37)
 # Addresses of functions of the engine (``engine/library.hpp``).
-PIECE, NEAREST, FURTHEST = FUNCTIONS = range(36, 39)
+PIECE, NEAREST, FURTHEST = FUNCTIONS = range(37, 40)
 # Addresses of the arrays that the routines of forces read and write.
-WRENCH, JOINT_POINT, LAM_OF_ALL = range(39, 42)
+WRENCH, JOINT_POINT, LAM_OF_ALL = range(40, 43)
 # Addresses of further outputs of LOOP_EQUATIONS beside CLOSURE; the engine fills them in.
-BIAS, JACOBIAN = range(42, 44)
+BIAS, JACOBIAN = range(43, 45)
 # Address of results of ENERGIES.
-ENERGY = 44
+ENERGY = 45
 # Addresses of outputs of RESPONSES: accelerations and multipliers by each friction
 # (``StaticFriction``), and its limit, zero where the joint slides.
-RESPONSE, LIMIT = range(45, 47)
-TABLE_COLUMNS = 47
+RESPONSE, LIMIT = range(46, 48)
+# Address of what ACCELERATION keeps for TORQUE_RESPONSE; of code for a system: how many numbers.
+FACTORS = 48
+TABLE_COLUMNS = 49
 # What the routine of one law (``law_routine``) has in the table of its row beside these arrays, of
 # which TAU and COMMAND are those of its joints: its states, its row of ``EffectTable.output``, how
 # many entries it has, and of a motion what its closure equation is to have. Behind are the rows of
 # its bodies.
-STATES, OUTPUT, COUNT, RIGHT_SIDE = range(47, 51)
-LAW_COLUMNS = 51
+STATES, OUTPUT, COUNT, RIGHT_SIDE = range(49, 53)
+LAW_COLUMNS = 53
 # Numbers of a row of VALUES and of PRESENT (``engine/effect_table.hpp``).
 VALUE_COLUMNS, PRESENT_COLUMNS = 13, 12
 # Address of results of one routine that another one of the same table works on, for all its lanes.
-SHARED = 52
+SHARED = 54
 # States side by side in the vectors of ``lanes``: one of AVX-512, two of AVX2, four of NEON.
 LANES = 8
 

@@ -81,10 +81,10 @@ class _LinearMap:
 
 def divided(graph, values, source, shared):
     """
-    Compute values that are linear in an input in a graph of their own.
+    Compute the share of values that is linear in an input in a graph of its own.
 
     The input ``source`` is Q in the new graph, which does not ask for the guard of the first one.
-    Returns the values, of the new graph, and their coefficients, results of the first graph, by
+    Returns the shares, of the new graph, and their coefficients, results of the first graph, by
     their places in the input ``shared``.
     """
     found, after, known, places = _LinearMap(graph, values, source), ExpressionGraph(), {}, {}
@@ -102,5 +102,5 @@ def divided(graph, values, source, shared):
         kind, *operands = graph.operations[place]
         known[place] = after.put(LOAD, Q, operands[1]) if kind == LOAD else sum(
             coefficient(value) * known[one] for one, value in found.terms[place].items())
-    return [known[one.place] if isinstance(one, Symbol) else one for one in values], [
+    return [known.get(one.place, 0.0) if isinstance(one, Symbol) else 0.0 for one in values], [
         Symbol(graph, place) for place in places]

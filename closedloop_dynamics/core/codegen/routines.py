@@ -11,13 +11,14 @@ import numpy as np
 from . import (
     arms, elimination, embedding, forward_dynamics, joint_forces, plane, refinement, space)
 from .expression_graph import (
-    ADD, ARCTANGENT, CALL, DIVIDE, EXPONENTIAL, ExpressionGraph, LOAD, LOGARITHM, MULTIPLY, NEGATE,
-    POWER, Q, QD, Routine, SQUARE_ROOT, SUBTRACT, TooManyOperations)
+    ADD, ARCTANGENT, CALL, DIVIDE, EXPONENTIAL, ExpressionGraph, graph_of, LOAD, LOGARITHM,
+    MULTIPLY, NEGATE, POWER, Q, QD, Routine, SQUARE_ROOT, SUBTRACT, TooManyOperations)
 from .function_table import (
     ACCELERATION, BAUMGARTE, BIAS, BODY, CLOSURE, CLOSURE_RATE, CORRECTION, CORRECTIONS, CUT_POINT,
-    ENERGIES, EVALUATION, GRAVITY, HEALTH, JACOBIAN, JOINT_POINT, LAM, LAM_OF_ALL, LEAST_FORCES,
-    LEFT_OUT, LOOP_EQUATIONS, OUTWARD, QDD, REACTION, REACTIONS, REFINED_ACCELERATION,
-    REFINED_CORRECTION, TAU, WORK_BODY, WRENCH, WRENCHES)
+    ENERGIES, EVALUATION, FACTORS, GRAVITY, HEALTH, JACOBIAN, JOINT_POINT, LAM, LAM_OF_ALL,
+    LEAST_FORCES, LEFT_OUT, LOOP_EQUATIONS, OUTWARD, QDD, REACTION, REACTIONS,
+    REFINED_ACCELERATION, REFINED_CORRECTION, TAU, TORQUE_RESPONSE, WORK_BODY, WRENCH, WRENCHES)
+from .linear_map import divided
 from .machine_code import machine_code, PACKED
 from .rows import by_column, columns_of, matrix, six
 from .spatial import Recursion
@@ -27,12 +28,14 @@ from .. import cache
 from ..types import (
     CARRIED, CUT_ROW, DOF, NO_RESPONSES, number_of_coordinates, PATH_A, PATH_END, RHS, ROW, ROWS,
     TYPE)
+from ...engine import native
 
 NAMES = {EVALUATION: 'evaluation', OUTWARD: 'outward', ACCELERATION: 'acceleration',
          CORRECTION: 'correction', REFINED_ACCELERATION: 'refined_acceleration',
          REFINED_CORRECTION: 'refined_correction', REACTIONS: 'reactions',
          WRENCHES: 'wrenches', LEAST_FORCES: 'least_forces',
-         LOOP_EQUATIONS: 'loop_equations', LEFT_OUT: 'left_out', ENERGIES: 'energies'}
+         LOOP_EQUATIONS: 'loop_equations', LEFT_OUT: 'left_out', ENERGIES: 'energies',
+         TORQUE_RESPONSE: 'torque_response'}
 
 
 def topology(model):
@@ -76,6 +79,31 @@ def addresses(model, which, form=PACKED, joints=None):
             len(missing))
         known.update((one_by_one[one], find(NAMES[one])) for one in missing)
     return {one: known[one_by_one[one]] for one in which}
+
+
+def with_torque_response(model, form=PACKED):
+    """
+    Return what the accelerations of a mechanism are, and what torques add to them.
+
+    Returns
+    -------
+    dict
+        By places in the function table: addresses of ACCELERATION, which keeps its factors, and of
+        TORQUE_RESPONSE, from torques at q to accelerations and multipliers at qd; how many FACTORS
+        are kept. Empty where arms are eliminated: next to singular ones they keep others.
+
+    """
+    key = 'torque response', topology(model), form
+    if key not in _addresses:
+        trace = MechanismTrace(model)
+        found = _addresses[key] = {}
+        if not trace.with_arms:
+            find = machine_code(key, trace.with_torque_response, form, 2)
+            count = np.zeros(1)
+            native.call(np.array([find('count')]), 0, count, count)
+            found.update({one: find(NAMES[one]) for one in (ACCELERATION, TORQUE_RESPONSE)})
+            found[FACTORS] = int(count[0])
+    return _addresses[key]
 
 
 def unrolled_size(model, most):
@@ -178,6 +206,18 @@ class MechanismTrace:
             otherwise = self.without_arms().routine(which)
             otherwise.name = f'{NAMES[which]}_next_to_singular_arms'
         return Routine(NAMES[which], self.graph, self.outputs, otherwise)
+
+    def with_torque_response(self):
+        """Return ACCELERATION, TORQUE_RESPONSE, and how many factors it has, at q."""
+        acceleration, solution = self.routine(ACCELERATION), zeros(self.nv + self.nc)
+        for source, place, value in acceleration.outputs:
+            if source in (QDD, LAM):
+                solution[place + (self.nv if source == LAM else 0)] = value
+        found, factors = divided(self.graph, solution, TAU, FACTORS)
+        acceleration.outputs += [(FACTORS, n, value) for n, value in enumerate(factors)]
+        return [acceleration, Routine(NAMES[TORQUE_RESPONSE], graph_of(found), [
+            (QD, n, value) for n, value in enumerate(found)]), Routine(
+                'count', ExpressionGraph(), [(Q, 0, float(len(factors)))])]
 
     def without_arms(self):
         """Return a trace of the same with all multipliers."""

@@ -17,7 +17,7 @@ Evaluating Derivatives, 2nd ed. (2008), section 15).
 from .arms import AlwaysSingularError
 from .derivatives import DerivativeTrace
 from .differentiation import differentiated, gradients
-from .expression_graph import ExpressionGraph, LOAD, Q, QD, replayed, Routine
+from .expression_graph import ExpressionGraph, graph_of, LOAD, Q, QD, replayed, Routine
 from .function_table import LAM, QDD, SHARED
 from .linear_map import divided
 from .routines import zeros
@@ -28,10 +28,10 @@ from ..types import CUT_ROW
 # Inputs and outputs. Forward: changes of q, qd, tau and parameters in one direction, and what the
 # accelerations, or the corrections, change by, with their multipliers. Reverse: weights of these,
 # not of multipliers, and the gradient by all the former.
-SEED, RESULT = 48, 49
+SEED, RESULT = 50, 51
 TABLE_COLUMNS = RESULT + 1
 # In the graph alone: a correction and its multipliers, before they are solved for.
-_CORRECTION, _MULTIPLIER = 50, 51
+_CORRECTION, _MULTIPLIER = 52, 53
 # The routines, by their places in the table: of accelerations, of the corrections of positions and
 # of rates, of what corrections are made of, the errors of the closure equations and their rates,
 # and of the wrenches in the joints, cut ones behind those of the tree.
@@ -91,11 +91,10 @@ class SensitivityTrace(DerivativeTrace):
         found, shared = divided(
             self.graph, [value for _, _, value in self.outputs], SEED, SHARED)
         self.outputs = [(SHARED, n, value) for n, value in enumerate(shared)]
-        graph = next((one.graph for one in found if hasattr(one, 'graph')), ExpressionGraph())
         count = Routine('shared', ExpressionGraph(), [
             (Q, 0, float(len(shared))), (Q, 1, float(self.by_arms))])
         return [self.named('before'), count], [
-            Routine('beside', graph, [(QD, n, value) for n, value in enumerate(found)])]
+            Routine('beside', graph_of(found), [(QD, n, value) for n, value in enumerate(found)])]
 
     def routine(self, which):
         """Return one of the routines; a trace serves for one."""
