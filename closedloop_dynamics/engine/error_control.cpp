@@ -218,11 +218,21 @@ Status ExplicitStep::make(const System & system, Interrupt & interrupt) const
       derivative(system, out, slopes[stages]);
     }
     error = error_norm(tableau, size, slopes, after, out, scale);
+    extended = false;
+    const auto state_at = [&](double share) {
+        if (!extended) {
+          extend_slopes(system, tableau, after, size, slopes, stage);
+          extended = true;
+        }
+        interpolate(tableau, after, size, slopes, share, stage);
+        normalise(system.manifold, stage);
+        return stage;
+      };
     // Written so that a NaN counts as an error too large.
     if (error <= 1.0) {
       const double part = locate_stick_event(
         system, after, out, size,
-        std::max(least_part(std::max(size, wanted), cuts), LEAST * std::abs(reached)));
+        std::max(least_part(std::max(size, wanted), cuts), LEAST * std::abs(reached)), state_at);
       if (part < size) {
         size = part;
         ++cuts;
@@ -230,17 +240,7 @@ Status ExplicitStep::make(const System & system, Interrupt & interrupt) const
         forget_trials(system);
         continue;
       }
-      extended = false;
-      const double touched = contacts.part(
-        system, out, size, [&](double share) {
-          if (!extended) {
-            extend_slopes(system, tableau, after, size, slopes, stage);
-            extended = true;
-          }
-          interpolate(tableau, after, size, slopes, share, stage);
-          normalise(system.manifold, stage);
-          return stage;
-        });
+      const double touched = contacts.part(system, out, size, state_at);
       if (touched != size) {
         size = contacts.sought >= -1 ? touched : size;
         ++cuts;

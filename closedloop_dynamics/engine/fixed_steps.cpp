@@ -6,7 +6,6 @@
 #include <limits>
 
 #include "manifold.hpp"
-#include "stick_slip.hpp"
 #include "time_events.hpp"
 
 namespace closedloop
@@ -33,18 +32,6 @@ double time_to_corner(const System & system, Values state)
 {
   return system.has_effects() ? time_to_next_corner(
     system.effects, state.from(system.own())) : std::numeric_limits<double>::infinity();
-}
-
-bool StepSplit::shorten(const System & system, Values state, Values out)
-{
-  const double part =
-    locate_stick_event(system, state, out, size, least_part(whole, cuts));
-  if (!(part < size)) {
-    return false;
-  }
-  size = part;
-  ++cuts;
-  return true;
 }
 
 void StepSplit::accept(const System & system, Values state, Values out)

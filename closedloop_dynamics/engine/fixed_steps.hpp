@@ -15,6 +15,7 @@
 #include "scratch.hpp"
 #include "stepper.hpp"
 #include "static_friction.hpp"
+#include "stick_slip.hpp"
 
 // Whole steps of one size, with a stabilisation after each.
 
@@ -42,7 +43,18 @@ struct StepSplit
   : whole(step_size), left(step_size), size(step_size) {}
 
   /// Find whether the part from `state` to `out` must be shorter as a joint turns round within it.
-  bool shorten(const System &, Values state, Values out);
+  template<class StateAt>
+  bool shorten(const System & system, Values state, Values out, StateAt && state_at)
+  {
+    const double part =
+      locate_stick_event(system, state, out, size, least_part(whole, cuts), state_at);
+    if (!(part < size)) {
+      return false;
+    }
+    size = part;
+    ++cuts;
+    return true;
+  }
   /// Accept the part: `state` becomes `out`.
   void accept(const System &, Values state, Values out);
 };
@@ -85,19 +97,18 @@ std::pair<Status, Index> make_steps_in_parts(
       }
       const bool closed = stabilise(system, stabilisation, out);
       const bool finite = all_finite(out), stops = interrupt.after(evaluations);
+      const auto state_at = [&, slope = slope, out = out, between = between](double share) {
+          interpolate_parabola(system, state, slope, out, split.size, share, between);
+          return between;
+        };
       Status failure = Status::DONE;
       if (!(closed && finite) || stops) {
         failure = stops ? Status::INTERRUPTED : finite ? Status::OPEN_LOOP : Status::NOT_FINITE;
       } else if (!equations_suffice(system, stabilisation, out)) {
         failure = Status::POOR_EQUATIONS;
-      } else if (split.shorten(system, state, out)) {
+      } else if (split.shorten(system, state, out, state_at)) {
         continue;
-      } else if (contacts.is_passed(
-          out, split.size, [&, slope = slope, out = out, between = between](double share) {
-            interpolate_parabola(system, state, slope, out, split.size, share, between);
-            return between;
-          }))
-      {
+      } else if (contacts.is_passed(out, split.size, state_at)) {
         failure = Status::CONTACT_PASSED;
       }
       if (failure != Status::DONE) {

@@ -308,20 +308,20 @@ Status StiffStep::make(
     factor = std::min(6.0, std::max(0.2, factor));
     // Written so that a NaN counts as an error too large.
     if (error <= 1.0 && stabilise(system, stabilisation, out)) {
+      bool ended = false;
+      const auto state_at = [&](double share) {
+          if (!ended) {
+            derivative(system, out, moved);
+            ended = true;
+          }
+          interpolate_cubic(state, slope, out, moved, used, share, stage);
+          normalise(system.manifold, stage);
+          return stage;
+        };
       double part = locate_stick_event(
-        system, state, out, used, std::max(least_part(whole, cuts), least));
+        system, state, out, used, std::max(least_part(whole, cuts), least), state_at);
       if (!(part < used)) {
-        bool ended = false;
-        part = contacts.part(
-          system, out, used, [&](double share) {
-            if (!ended) {
-              derivative(system, out, moved);
-              ended = true;
-            }
-            interpolate_cubic(state, slope, out, moved, used, share, stage);
-            normalise(system.manifold, stage);
-            return stage;
-          });
+        part = contacts.part(system, out, used, state_at);
         if (part == used) {
           break;
         }

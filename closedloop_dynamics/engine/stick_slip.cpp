@@ -15,8 +15,6 @@ namespace closedloop
 
 namespace
 {
-// A sliding joint has come to rest where its rate is less than this [rad/s; m/s].
-constexpr double ARRIVED = 1e-9;
 // Cuts of one step: beyond, it is taken as it is.
 constexpr int MOST_CUTS = 200;
 // The least part of a step that is made.
@@ -38,23 +36,14 @@ bool lists_friction(const System & system)
   return false;
 }
 
-/// Time at which the first joint comes to rest, by the secant; `size` if none does.
-double first_rest(
-  const EffectTable & effects, Values grips, Values before, Values after, double size,
-  double floor)
+/// Rates of all joints in a state, those of cut joints behind, which are written to `room`.
+Values rates_of(const System & system, Values state, Values room)
 {
-  double shortest = size;
-  for (Index row = 0; row < effects.count(); ++row) {
-    if (has_friction(effects, row)) {
-      const double grip = grips[effects.first_state[row]];
-      const double start = std::max(0.0, grip * along(effects, row, before));
-      const double end = grip * along(effects, row, after);
-      if (end < -ARRIVED) {
-        shortest = std::min(shortest, size * start / (start - end));
-      }
-    }
+  if (!system.has_cut_coordinates()) {
+    return system.qd(state);
   }
-  return shortest > floor ? shortest : size;
+  rates_with_cuts(system, state, room);
+  return room;
 }
 
 /// Update the modes of joints by their rates, of which rounding is taken from joints of the tree at
@@ -88,23 +77,37 @@ double least_part(double size, int cuts)
   return size * (cuts < MOST_CUTS ? LEAST_PART : 1.0);
 }
 
-double locate_stick_event(
-  const System & system, Values before, Values after, double size, double floor)
+double forward_rate(const System & system, Index row, Values before, Values state)
 {
-  if (!lists_friction(system)) {
-    return size;
+  const EffectTable & effects = system.effects;
+  return before[system.own() + effects.first_state[row]] *
+         along(effects, row, rates_of(system, state, effects.cuts.qd));
+}
+
+Rest first_rest(const System & system, Values before, Values after, double size, double floor)
+{
+  Rest found{-1, size, 0.0, 0.0};
+  if (!lists_friction(system) ||
+    (system.has_cut_coordinates() && system.effects.static_friction.response.rows <= 1))
+  {
+    return found;
   }
   const EffectTable & effects = system.effects;
   const Values grips = before.from(system.own());
-  if (!system.has_cut_coordinates()) {
-    return first_rest(effects, grips, system.qd(before), system.qd(after), size, floor);
+  const Values first = rates_of(system, before, effects.cuts.before);
+  const Values last = rates_of(system, after, effects.cuts.qd);
+  for (Index row = 0; row < effects.count(); ++row) {
+    if (has_friction(effects, row)) {
+      const double grip = grips[effects.first_state[row]];
+      const double start = std::max(0.0, grip * along(effects, row, first));
+      const double end = grip * along(effects, row, last);
+      const double part = end < -ARRIVED ? size * start / (start - end) : size;
+      if (part < found.part) {
+        found = {row, part, start, end};
+      }
+    }
   }
-  if (effects.static_friction.response.rows <= 1) {
-    return size;
-  }
-  rates_with_cuts(system, before, effects.cuts.before);
-  rates_with_cuts(system, after, effects.cuts.qd);
-  return first_rest(effects, grips, effects.cuts.before, effects.cuts.qd, size, floor);
+  return found.part > floor ? found : Rest{-1, size, 0.0, 0.0};
 }
 
 void update_friction_modes(const System & system, Values state)

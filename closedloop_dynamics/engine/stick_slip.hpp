@@ -4,6 +4,8 @@
 #ifndef CLOSEDLOOP_DYNAMICS__ENGINE__STICK_SLIP_HPP_
 #define CLOSEDLOOP_DYNAMICS__ENGINE__STICK_SLIP_HPP_
 
+#include <cmath>
+
 #include "data.hpp"
 
 // The instants at which joints under dry friction stick or slip. Within a step each of them slides
@@ -17,10 +19,65 @@ namespace closedloop
 /// The least part of a step worth trying after a number of cuts [s].
 double least_part(double size, int cuts);
 
+/// A sliding joint has come to rest where its rate is less than this [rad/s; m/s].
+constexpr double ARRIVED = 1e-9;
+
+/// The first joint that comes to rest within a step, and turns round.
+struct Rest
+{
+  Index row;  ///< Of its friction; negative: there is none
+  double part;  ///< Of the step, by the secant [s]
+  double start, end;  ///< Forward rates before and after the step [rad/s; m/s]
+};
+
+/// The first rest in a step; parts of `floor` or less are not worth a step.
+Rest first_rest(const System &, Values before, Values after, double size, double floor);
+
+/// Rate, forward before the step, of the joint of a friction in a state [rad/s; m/s].
+double forward_rate(const System &, Index row, Values before, Values state);
+
 /// The part of a step on which no joint turns round [s]; `size` where the step may be taken. A
 /// smaller one is an estimate, to be tried; parts of `floor` or less are not worth a step.
+/// `state_at(share)` returns a state between, by dense output: the rest is found there without
+/// evaluations, by regula falsi that halves the end that stays (Illinois).
+template<class StateAt>
 double locate_stick_event(
-  const System &, Values before, Values after, double size, double floor);
+  const System & system, Values before, Values after, double size, double floor,
+  StateAt && state_at)
+{
+  constexpr int MOST_ITERATIONS = 50;
+  // Midway between at rest and turned round.
+  constexpr double AIM = 0.5 * ARRIVED, NEAR = 0.25 * ARRIVED;
+  double found = size;
+  Rest rest = first_rest(system, before, after, size, floor);
+  // Another joint may have turned round before.
+  for (Index n = 0; rest.row >= 0 && n < system.effects.count(); ++n) {
+    double low = 0.0, high = found, start = rest.start + AIM, end = rest.end + AIM;
+    Values state = after;
+    found = rest.part;
+    for (int k = 0, stayed = 0; k < MOST_ITERATIONS; ++k) {
+      state = state_at(found / size);
+      const double rate = forward_rate(system, rest.row, before, state) + AIM;
+      if (std::abs(rate) <= NEAR) {
+        break;
+      }
+      if (rate < 0.0) {
+        high = found;
+        end = rate;
+        start *= stayed < 0 ? 0.5 : 1.0;
+        stayed = -1;
+      } else {
+        low = found;
+        start = rate;
+        end *= stayed > 0 ? 0.5 : 1.0;
+        stayed = 1;
+      }
+      found = low + (high - low) * start / (start - end);
+    }
+    rest = first_rest(system, before, state, found, floor);
+  }
+  return found;
+}
 
 /// Update the stick/slip modes after an accepted step, in place, and set the remaining rates of
 /// stuck joints to zero by an impulse.

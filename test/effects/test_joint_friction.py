@@ -72,6 +72,15 @@ def test_the_instant_of_rest_does_not_depend_on_the_steps():
     assert ends == pytest.approx([-0.005] * 3, abs=1e-10)
 
 
+def test_a_rest_is_found_by_dense_output():
+    # Five times; by repeating the step each time 1,219 evaluations are needed.
+    simulation = oscillator(integrator='auto', step_size=0.01)
+    before = simulation.health.evaluations
+    simulation.step(duration=1.6)
+    assert simulation.position[0] == pytest.approx(-0.005, abs=1e-9)
+    assert simulation.health.evaluations - before < 1000
+
+
 def test_first_order_steps_come_to_rest_too():
     simulation = oscillator(integrator='semi_implicit_euler', step_size=1e-4)
     simulation.step(duration=2.0)
