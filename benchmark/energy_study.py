@@ -5,17 +5,12 @@
 
 from math import nan
 from statistics import median
-import sys
-import time
 
-from machine import ROOT
+from closedloop_dynamics.simulation.errors import NumericalError
+from closedloop_dynamics.simulation.simulation import Simulation
+from closedloop_dynamics.visual.tables import write_csv
+from machine import in_turn
 import numpy as np
-
-sys.path.insert(0, str(ROOT))
-
-from closedloop_dynamics.simulation.errors import NumericalError  # noqa: E402,I100
-from closedloop_dynamics.simulation.simulation import Simulation  # noqa: E402
-from closedloop_dynamics.visual.tables import write_csv  # noqa: E402
 
 SCENES = ('three_rrr', 'carpet_scraper')
 DURATION = 10.0
@@ -64,13 +59,12 @@ def energy_errors(scene, method, duration=DURATION):
 def cost(scene, method, duration):
     """Return the CPU time of a simulated second [s], the median of some whole runs."""
     simulation = Simulation.from_scene(scene, **method)
-    rounds = []
-    for _ in range(ROUNDS):
+
+    def run():
         simulation.reset()
-        begin = time.process_time()
         simulation.step(duration=duration)
-        rounds.append((time.process_time() - begin) / duration)
-    return median(rounds)
+
+    return median(in_turn({scene: run}, ROUNDS)[scene]) / duration
 
 
 def study(quick=False):

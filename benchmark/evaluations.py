@@ -10,21 +10,17 @@ an evaluation; at the position itself the last column is with the least joint fo
 
 """
 
-import argparse
+from functools import partial
 import math
-from pathlib import Path
-import sys
 import time
 
+from closedloop_dynamics.engine import native
+from closedloop_dynamics.integration.system import number_of_states
+from closedloop_dynamics.simulation.scene_records import Method
+from closedloop_dynamics.simulation.simulation import Simulation
+import hard_machines as machines
+from machine import in_turn, least, parser_of
 import numpy as np
-
-sys.path.insert(0, str(Path(__file__).resolve().parents[1]))
-
-from closedloop_dynamics.engine import native  # noqa: E402,I100
-from closedloop_dynamics.integration.system import number_of_states  # noqa: E402
-from closedloop_dynamics.simulation.scene_records import Method  # noqa: E402
-from closedloop_dynamics.simulation.simulation import Simulation  # noqa: E402
-import hard_machines as machines  # noqa: E402
 
 # Of a regular position, then of those beside a singular one [rad].
 REGULAR, DISTANCES = 0.6, (0.0099, 3e-3, 1e-3, 1e-4, 1e-6, 0.0)
@@ -104,51 +100,34 @@ MACHINES = {
 }
 
 
-def timed(task, count):
-    """Return the CPU time of one evaluation [s]."""
-    begin = time.thread_time()
-    evaluate_again(*task, count)
-    return (time.thread_time() - begin) / count
-
-
-def timed_calls(task, count):
-    """Return the CPU time of one evaluation with forces, called from Python [s]."""
-    system, state = task[0].native, state_of(*task)
-    begin = time.thread_time()
+def called_again(system, q, qd, count):
+    """Do the same with forces, by calls from Python."""
+    state = state_of(system, q, qd)
     for _ in range(count):
-        native.evaluate_state(system, state)
-    return (time.thread_time() - begin) / count
+        native.evaluate_state(system.native, state)
 
 
 def ratios(machine, rounds):
     """
-    Measure a machine.
+    Measure a machine, a function from the distance to mechanism, coordinates and rates.
 
-    Parameters
-    ----------
-    machine : callable
-        From the distance to mechanism, coordinates and rates.
-    rounds : int
-        Of regular evaluations and those at all distances, in turn.
-
-    Returns
-    -------
-    float
-        Least time of a regular evaluation [s].
-    list of float
-        At each of DISTANCES the least time over that; then with forces at the last one.
-
+    Regular evaluations and those at all distances are made in turn, so many rounds. Returns the
+    least time of a regular evaluation [s], and a list of the least times at each of DISTANCES over
+    that, then with forces at the last one.
     """
     mechanism, q, qd = machine(REGULAR)
     effects = machines.gravity() if len(mechanism.bodies[0].center_of_mass) == 2 else (
         machines.gravity_in_space())
     system = Simulation(machines.scene(mechanism, q, qd, Method(), effects)).data.system
-    tasks = [(system, *machine(distance)[1:]) for distance in (REGULAR, *DISTANCES)]
-    counts = [max(1, int(PORTION / timed(task, 100))) for task in tasks]
-    regular, *others, called, with_forces = np.min([
-        [timed(task, count) for task, count in zip(tasks, counts)]
-        + [timed_calls(task, counts[-1]) for task in (tasks[0], tasks[-1])]
-        for _ in range(rounds)], axis=0)
+    tasks = {distance: partial(evaluate_again, system, *machine(distance)[1:])
+             for distance in (REGULAR, *DISTANCES)}
+    tasks['called'], tasks['forces'] = (
+        partial(called_again, system, *machine(distance)[1:]) for distance in (REGULAR, 0.0))
+    once = in_turn({key: partial(run, 100) for key, run in tasks.items()}, 1, time.thread_time)
+    counts = {key: max(1, int(PORTION / (first / 100))) for key, (first,) in once.items()}
+    found = least({key: partial(run, counts[key]) for key, run in tasks.items()}, rounds,
+                  time.thread_time)
+    regular, *others, called, with_forces = (each / counts[key] for key, each in found.items())
     # Without the call itself.
     others.append(with_forces - called + regular)
     return regular, [other / regular for other in others]
@@ -156,10 +135,9 @@ def ratios(machine, rounds):
 
 def main(arguments=None):
     """Print the ratios of all machines."""
-    parser = argparse.ArgumentParser(description=__doc__)
+    parser = parser_of(__doc__, 'few rounds')
     parser.add_argument('--machine', action='append', choices=MACHINES,
                         help='this one alone; may be repeated')
-    parser.add_argument('--quick', action='store_true', help='few rounds')
     options = parser.parse_args(arguments)
     print(f'{"machine":24}{"regular":>12}', *(f'{distance:>8g}' for distance in DISTANCES),
           f'{"forces":>8}')

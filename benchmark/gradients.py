@@ -12,20 +12,16 @@ in turn, CPU time. Compiling is apart: with an empty cache it is what a first us
 step: one RK4 step of a ``Stepper``, with A and B in independent coordinates and without.
 """
 
-import argparse
+from functools import partial
 import os
 import sys
 from tempfile import TemporaryDirectory
-import time
 from unittest.mock import patch
 
-from machine import description, ROOT
-
-sys.path.insert(0, str(ROOT))
-
-import closedloop_dynamics as cld  # noqa: E402,I100
-from closedloop_dynamics.visual.tables import markdown_table  # noqa: E402
-import numpy as np  # noqa: E402
+import closedloop_dynamics as cld
+from closedloop_dynamics.visual.tables import markdown_table
+from machine import description, in_turn, least, parser_of
+import numpy as np
 
 SCENES = 'four_bar', 'carpet_scraper', 'three_rrr', 'rssr_four_bar', 'stewart_platform'
 METHOD, STEPS, ROWS = {'integrator': 'rk4', 'step_size': 1e-3}, 200, 20
@@ -47,36 +43,27 @@ def measured(scene, repeats):
         return cld.rollout(model, start, torques, steps=STEPS, method=METHOD)
 
     rollout()
-    began = time.process_time()
-    gradient()
-    first, times = time.process_time() - began, ([], [])
-    for _ in range(repeats):
-        for found, run in zip(times, (rollout, gradient)):
-            began = time.process_time()
-            run()
-            found.append(time.process_time() - began)
-    return *map(min, times), first - min(times[1])
+    (first,), = in_turn({'gradient': gradient}, 1).values()
+    run, both = least({'rollout': rollout, 'gradient': gradient}, repeats).values()
+    return run, both, first - both
 
 
 def of_a_step(scene, repeats, calls=300):
     """Return the time of a step without and with its Jacobians [us]."""
-    model, found = cld.Model.from_scene(scene), []
-    for jacobians in (False, True):
-        stepper, times = cld.Stepper(model, 1e-3, steps=1, jacobians=jacobians), []
-        for _ in range(repeats):
-            began = time.process_time()
-            for _ in range(calls):
-                stepper()
-            times.append(time.process_time() - began)
-        found.append(1e6 * min(times) / calls)
-    return found
+    model = cld.Model.from_scene(scene)
+
+    def stepped(stepper):
+        for _ in range(calls):
+            stepper()
+
+    times = least({jacobians: partial(stepped, cld.Stepper(
+        model, 1e-3, steps=1, jacobians=jacobians)) for jacobians in (False, True)}, repeats)
+    return [1e6 * each / calls for each in times.values()]
 
 
 def main(arguments=None):
     """Measure, and print a table."""
-    parser = argparse.ArgumentParser(
-        description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
-    parser.add_argument('scenes', nargs='*', default=SCENES, help='which are measured')
+    parser = parser_of(__doc__, scenes=SCENES)
     parser.add_argument('--repeats', type=int, default=40)
     options = parser.parse_args(arguments)
     with TemporaryDirectory() as folder, patch.dict(os.environ, CLOSEDLOOP_CACHE_DIR=folder):

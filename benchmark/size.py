@@ -11,68 +11,49 @@ Timed are the kernels alone, by loops, one evaluation waiting for the one before
 have unrolled kernels.
 """
 
-import argparse
-import json
-from pathlib import Path
+from functools import partial
 import statistics
 import sys
 import time
 
+from closedloop_dynamics.core.types import RANK
+from closedloop_dynamics.integration.system import build_system
+from closedloop_dynamics.mechanism.decomposition import decompose
+from closedloop_dynamics.mechanism.validation import validate_mechanism
+from closedloop_dynamics.simulation.modeling import build_model
+from closedloop_dynamics.visual.tables import markdown_table, seconds, text_table
 from evaluations import evaluate_again
-from machine import description, ROOT
+from families import chain, ladder, star
+from machine import description, in_turn, parser_of, write_result
 from matplotlib.figure import Figure
 import numpy as np
 
-sys.path.insert(0, str(ROOT))
-
-from closedloop_dynamics.core.types import RANK  # noqa: E402,I100
-from closedloop_dynamics.integration.system import build_system  # noqa: E402
-from closedloop_dynamics.mechanism.decomposition import decompose  # noqa: E402
-from closedloop_dynamics.mechanism.validation import validate_mechanism  # noqa: E402
-from closedloop_dynamics.simulation.modeling import build_model  # noqa: E402
-from closedloop_dynamics.visual.tables import markdown_table, seconds, text_table  # noqa: E402
-from families import chain, ladder, star  # noqa: E402
-
-# Label: builder, and its sizes for 10 to 10,000 joints.
+# Label: words, builder, its sizes for 10 to 10,000 joints, colour and marker.
 FAMILIES = {
-    'ladder': (ladder, (5, 10, 20, 50, 100, 200, 500, 1000, 2000, 5000)),
-    'star of four': (lambda loops: star(loops, 4),
-                     (2, 3, 6, 12, 25, 60, 125, 250, 625, 1250)),
-    'star of eight': (star, (1, 2, 3, 6, 12, 30, 60, 125, 312, 625)),
-    'chain': (chain, (10, 20, 50, 100, 200, 500, 1000, 2000, 5000, 10000)),
+    'ladder': ('ladder of N four-bars', ladder,
+               (5, 10, 20, 50, 100, 200, 500, 1000, 2000, 5000), '#0072B2', 'o'),
+    'star of four': ('star: four ladders meet at one crank', lambda loops: star(loops, 4),
+                     (2, 3, 6, 12, 25, 60, 125, 250, 625, 1250), '#D55E00', 's'),
+    'star of eight': ('star: eight ladders meet at one crank', star,
+                      (1, 2, 3, 6, 12, 30, 60, 125, 312, 625), '#CC79A7', '^'),
+    'chain': ('chain of N links hung up at both ends', chain,
+              (10, 20, 50, 100, 200, 500, 1000, 2000, 5000, 10000), '#009E73', 'D'),
 }
-WORDS = {'ladder': 'ladder of N four-bars',
-         'star of four': 'star: four ladders meet at one crank',
-         'star of eight': 'star: eight ladders meet at one crank',
-         'chain': 'chain of N links hung up at both ends'}
 QUICK_LARGEST = 300
 # Timing: evaluations that take so long together [s], in so many turns.
 PORTION, TURNS, QUICK_TURNS = 2e-3, 150, 3
-COLORS = {'ladder': ('#0072B2', 'o'), 'star of four': ('#D55E00', 's'),
-          'star of eight': ('#CC79A7', '^'), 'chain': ('#009E73', 'D')}
 FROM = 10
 
 
 def build(family, size):
     """
-    Set a member of a family up, moving and driven.
+    Set a member of a family up, moving and driven; ``size`` as its builder counts.
 
-    Parameters
-    ----------
-    family : str
-        A key of ``FAMILIES``.
-    size : int
-        As its builder counts.
-
-    Returns
-    -------
-    row : dict
-        Joints, equations, fill, bytes, set-up time [s].
-    task : tuple
-        What ``evaluate_again`` takes, without the number.
-
+    Returns a row (joints, equations, fill, bytes, set-up time [s]), and a function that evaluates
+    it so many times.
     """
-    mechanism, position = FAMILIES[family][0](size)
+    _, builder, *_ = FAMILIES[family]
+    mechanism, position = builder(size)
     begin = time.process_time()
     mechanism = validate_mechanism(mechanism)
     decomposition = decompose(mechanism)
@@ -96,52 +77,31 @@ def build(family, size):
            'entries': len(model.row), 'setup': setup,
            'bytes': sum(part.nbytes for part in held),
            'full rank': bool(system.work.health[RANK] == mechanism.number_of_equations)}
-    return row, (system, *state)
+    return row, partial(evaluate_again, system, *state)
 
 
 def measure(quick=False):
-    """
-    Measure all families.
-
-    Parameters
-    ----------
-    quick : bool
-        Small ones alone, and rough numbers.
-
-    Returns
-    -------
-    dict
-        As written to the JSON file.
-
-    """
-    rows, tasks = [], []
-    for family, (_, sizes) in FAMILIES.items():
+    """Measure all families; ``quick``: small ones alone, and rough numbers."""
+    rows, tasks = [], {}
+    for family, (_, _, sizes, *_) in FAMILIES.items():
         for size in sizes:
-            if quick and size > QUICK_LARGEST:
-                continue
-            row, task = build(family, size)
-            evaluate_again(*task, 1)
-            count = max(1, round(PORTION / max(_timed(task, 3) / 3.0, 1e-7)))
-            rows.append(row)
-            tasks.append((task, count, []))
-    for _ in range(QUICK_TURNS if quick else TURNS):
-        for task, count, times in tasks:
-            times.append(_timed(task, count) / count)
-    for row, (_, _, times) in zip(rows, tasks):
-        row.update(best=min(times), median=statistics.median(times))
+            if not (quick and size > QUICK_LARGEST):
+                row, run = build(family, size)
+                (first,), = in_turn({size: partial(run, 3)}, 1, time.thread_time).values()
+                row['count'] = max(1, round(PORTION / max(first / 3.0, 1e-7)))
+                tasks[len(rows)] = partial(run, row['count'])
+                rows.append(row)
+    times = in_turn(tasks, QUICK_TURNS if quick else TURNS, time.thread_time)
+    for number, row in enumerate(rows):
+        row.update(best=min(times[number]) / row['count'],
+                   median=statistics.median(times[number]) / row['count'])
     return {'machine': description(), 'quick': quick, 'rows': rows}
-
-
-def _timed(task, count):
-    begin = time.thread_time()
-    evaluate_again(*task, count)
-    return time.thread_time() - begin
 
 
 def growth(result):
     """Return, for each family, between what limits the time per joint stays from ten joints on."""
     lines = []
-    for family in FAMILIES:
+    for family, (words, *_) in FAMILIES.items():
         costs = [1e9 * row['best'] / row['joints'] for row in result['rows']
                  if row['family'] == family and row['joints'] >= FROM]
         if not costs:
@@ -149,7 +109,7 @@ def growth(result):
         least, most = min(costs), max(costs)
         middle = statistics.median(costs)
         lines.append(
-            f'* {WORDS[family]}: {middle:.0f} ns per joint (the median of the sizes), '
+            f'* {words}: {middle:.0f} ns per joint (the median of the sizes), '
             f'{100.0 * (1.0 - least / middle):.0f} % less to '
             f'{100.0 * (most / middle - 1.0):.0f} % more; the largest of all sizes is '
             f'{most / least:.2f} times the smallest.')
@@ -171,12 +131,12 @@ def picture(result):
     """Draw time and memory per joint over the number of joints."""
     figure = Figure(figsize=(9.6, 3.9), dpi=120, layout='constrained')
     time_axes, memory_axes = figure.subplots(1, 2)
-    for family, (color, marker) in COLORS.items():
+    for family, (words, _, _, color, marker) in FAMILIES.items():
         rows = [row for row in result['rows'] if row['family'] == family]
         joints = [row['joints'] for row in rows]
         style = {'color': color, 'marker': marker, 'markersize': 4.5, 'linewidth': 1.4}
         time_axes.plot(joints, [1e9 * row['best'] / row['joints'] for row in rows],
-                       label=WORDS[family], **style)
+                       label=words, **style)
         memory_axes.plot(joints, [row['bytes'] / row['joints'] for row in rows], **style)
     for axes, title in ((time_axes, 'CPU time of one evaluation, per joint [ns]'),
                         (memory_axes, 'model and workspace, per joint [bytes]')):
@@ -193,17 +153,11 @@ def picture(result):
 
 def main(arguments=None):
     """Run the benchmark."""
-    parser = argparse.ArgumentParser(description=__doc__)
-    parser.add_argument('--quick', action='store_true', help='small ones alone, rough numbers')
-    parser.add_argument('--output', type=Path, default=ROOT / 'benchmark_output',
-                        metavar='DIR', help='where results go (default: %(default)s)')
-    options = parser.parse_args(arguments)
+    options = parser_of(
+        __doc__, 'small ones alone, rough numbers', output=True).parse_args(arguments)
     result = measure(options.quick)
-    options.output.mkdir(parents=True, exist_ok=True)
-    (options.output / 'size.json').write_text(json.dumps(result, indent=1))
+    write_result(options, 'size', result, table(result, text_table), growth(result))
     picture(result).savefig(options.output / 'size.png')
-    print(result['machine'], table(result, text_table), growth(result), sep='\n\n')
-    print(f'\nwritten: {options.output}/size.json, size.png')
     return 0
 
 

@@ -9,54 +9,37 @@ simulator node. A first start generates the code of the mechanism into an empty 
 reads it from there. Times are CPU time of the process, memory is what of it lies in RAM (RSS).
 """
 
-import argparse
 import importlib.util
 import json
 import os
-from pathlib import Path
 import subprocess
 import sys
 import tempfile
 
-from machine import description, ROOT
+from closedloop_dynamics.visual.tables import markdown_table, seconds, text_table
+from machine import description, parser_of, ROOT, write_result
 
-sys.path.insert(0, str(ROOT))
-
-from closedloop_dynamics.visual.tables import (  # noqa: E402,I100
-    markdown_table, seconds, text_table)
-
-# Rows of the table: a kind of start, and what happens in it in turn.
-LIBRARY = """
-mark('Python')
-from closedloop_dynamics import Simulation
-mark('import')
-simulation = Simulation.from_scene({scene!r})
-mark('scene')
-simulation.step()
-mark('first step')
-simulation.step(duration=1.0)
-mark('one second')
-"""
-NODE = """
-mark('Python')
-import rclpy
-from closedloop_dynamics.ros.simulator_node import SimulatorNode
-mark('import')
-rclpy.init(args=['--ros-args', '-p', 'scene:={scene}', '-p', 'wait_for_command:=true'])
-node = SimulatorNode()
-mark('scene')
-node.simulation.step()
-mark('first step')
-node.simulation.step(duration=1.0)
-mark('one second')
-"""
+# Of a kind of start: what is imported, and what makes a simulation.
+LIBRARY = ('from closedloop_dynamics import Simulation',
+           'simulation = Simulation.from_scene({scene!r})')
+NODE = ('import rclpy; from closedloop_dynamics.ros.simulator_node import SimulatorNode',
+        "rclpy.init(args=['--ros-args', '-p', 'scene:={scene}', '-p', 'wait_for_command:=true']); "
+        'node = SimulatorNode(); simulation = node.simulation')
 PROGRAM = """
 import json, os, time
 marks = []
 def mark(name):
     pages = int(open('/proc/self/statm').read().split()[1])
     marks.append((name, time.process_time(), pages * os.sysconf('SC_PAGE_SIZE')))
-{body}
+mark('Python')
+{importing}
+mark('import')
+{building}
+mark('scene')
+simulation.step()
+mark('first step')
+simulation.step(duration=1.0)
+mark('one second')
 print(json.dumps(marks), flush=True)
 os._exit(0)
 """
@@ -64,31 +47,20 @@ PARTS = ('import', 'scene', 'first step', 'one second')
 WARM = 5
 
 
-def start(body, scene, cache):
+def start(kind, scene, cache):
     """
-    Start once.
+    Start once; return the CPU time of each part [s], and memory after the last [bytes].
 
-    Parameters
-    ----------
-    body : str
-        ``LIBRARY`` or ``NODE``.
-    scene : str
-        A shipped scene.
-    cache : str or None
-        Directory of generated code; None: that of this process.
-
-    Returns
-    -------
-    dict
-        CPU time of each part [s], memory after the last [bytes].
-
+    ``kind`` is ``LIBRARY`` or ``NODE``, ``scene`` a shipped one, ``cache`` the directory of
+    generated code; None: that of this process.
     """
+    importing, building = (part.format(scene=scene) for part in kind)
     places = {} if cache is None else {'CLOSEDLOOP_CACHE_DIR': cache, 'ROS_LOG_DIR': cache}
     environment = {**os.environ, **places,
                    'ROS_AUTOMATIC_DISCOVERY_RANGE': 'LOCALHOST', 'PYTHONPATH': os.pathsep.join(
                        filter(None, (str(ROOT), os.environ.get('PYTHONPATH'))))}
     run = subprocess.run(
-        [sys.executable, '-c', PROGRAM.format(body=body.format(scene=scene))], text=True,
+        [sys.executable, '-c', PROGRAM.format(importing=importing, building=building)], text=True,
         env=environment, stdout=subprocess.PIPE, stderr=subprocess.PIPE, check=False)
     if run.returncode != 0:
         raise RuntimeError(f'a start of {scene} failed:\n{run.stderr}')
@@ -100,39 +72,26 @@ def start(body, scene, cache):
 
 def measure(quick=False, scene='three_rrr'):
     """
-    Measure starts.
+    Measure starts of a shipped scene; the least of each value of some.
 
-    Parameters
-    ----------
-    quick : bool
-        One warm start of the Python interface, with the cache of this process.
-    scene : str
-        A shipped scene.
-
-    Returns
-    -------
-    dict
-        As written to the JSON file.
-
+    ``quick``: one warm start of the Python interface, with the cache of this process.
     """
     result = {'machine': description(), 'quick': quick, 'scene': scene, 'rows': []}
     with tempfile.TemporaryDirectory() as empty:
-        cache = None if quick else empty
-        if not quick:
-            _add(result, 'Python interface, first start', [start(LIBRARY, scene, cache)])
-        _add(result, 'Python interface, warm', [
-            start(LIBRARY, scene, cache) for _ in range(1 if quick else WARM)])
-        if not quick and importlib.util.find_spec('rclpy'):
-            start(NODE, scene, cache)
-            _add(result, 'simulator node, warm', [start(NODE, scene, cache)
-                                                  for _ in range(WARM)])
+        def add(text, kind, count, cache=empty):
+            starts = [start(kind, scene, cache) for _ in range(count)]
+            result['rows'].append({'kind': text, **{
+                key: min(one[key] for one in starts) for key in starts[0]}})
+
+        if quick:
+            add('Python interface, warm', LIBRARY, 1, None)
+        else:
+            add('Python interface, first start', LIBRARY, 1)
+            add('Python interface, warm', LIBRARY, WARM)
+            if importlib.util.find_spec('rclpy'):
+                start(NODE, scene, empty)
+                add('simulator node, warm', NODE, WARM)
     return result
-
-
-def _add(result, kind, starts):
-    """Add the least of each value of some starts."""
-    result['rows'].append({'kind': kind, **{
-        key: min(one[key] for one in starts) for key in starts[0]}})
 
 
 def table(result, make=markdown_table):
@@ -148,17 +107,11 @@ def table(result, make=markdown_table):
 
 def main(arguments=None):
     """Run the benchmark."""
-    parser = argparse.ArgumentParser(description=__doc__)
-    parser.add_argument('--quick', action='store_true', help='one warm start alone')
+    parser = parser_of(__doc__, 'one warm start alone', output=True)
     parser.add_argument('--scene', default='three_rrr', help='default: %(default)s')
-    parser.add_argument('--output', type=Path, default=ROOT / 'benchmark_output',
-                        metavar='DIR', help='where results go (default: %(default)s)')
     options = parser.parse_args(arguments)
     result = measure(options.quick, options.scene)
-    options.output.mkdir(parents=True, exist_ok=True)
-    (options.output / 'startup.json').write_text(json.dumps(result, indent=1))
-    print(result['machine'], table(result, text_table), sep='\n\n')
-    print(f'\nwritten: {options.output}/startup.json')
+    write_result(options, 'startup', result, table(result, text_table))
     return 0
 
 

@@ -69,7 +69,7 @@ def test_steps_of_exported_code_are_timed(benchmark, capsys):
     shutil.which('cc') is None or not sys.platform.startswith('linux'),
     reason='needs a C compiler, called cc, on Linux')
 def test_cycles_of_the_hardware_interface_are_timed(benchmark, capsys):
-    assert benchmark('hardware_cycle').main(['four_bar', '--quick']) == 0
+    assert benchmark('exported_code').main(['four_bar', '--cycles', '--quick']) == 0
     line = capsys.readouterr().out.splitlines()[-1]
     assert '`four_bar`' in line
     times = [float(number) for number in re.findall(r'[\d.]+', line)]
