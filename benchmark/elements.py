@@ -20,7 +20,7 @@ from time import process_time
 
 from closedloop_dynamics import Simulation
 from closedloop_dynamics.core.codegen.function_table import (
-    AT_REST as ONE_AT_REST, EVALUATION, RESPONSES)
+    AT_REST as ONE_AT_REST, EVALUATION)
 from closedloop_dynamics.core.codegen.live_scene import LiveTrace
 from closedloop_dynamics.core.codegen.routines import count_operations as count, operations
 from closedloop_dynamics.effects.registry import EFFECTS
@@ -37,7 +37,7 @@ import yaml
 SCENES = ('planetary_gear', 'rack_press', 'geared_five_bar', 'scissor_lift', 'differential')
 MEASURED = yaml.safe_load(Path(__file__).with_suffix('.yaml').read_text(encoding='utf-8'))
 # Of those with joints at rest the routine that evaluates them.
-AT_REST = {'friction at rest': ONE_AT_REST, 'two joints at rest': RESPONSES}
+AT_REST = {'friction at rest': ONE_AT_REST, 'two joints at rest': ONE_AT_REST}
 SAMPLES, TORQUE, EVERY = 64, 1.0, 200
 STEP = 1e-4  # Of all that is measured [s]
 QUICK = ('force table', 'a spring')

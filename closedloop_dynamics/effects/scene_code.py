@@ -18,7 +18,7 @@ from .element import (
     SIDE_B, SLIDES, ZERO)
 from .force_law import FRICTION, INERTIA, MOTION
 from ..core.codegen import function_table as calls
-from ..core.codegen.live_scene import address_of_scene, LiveForces
+from ..core.codegen.live_scene import address_of_scene, AT_ONCE, LiveForces
 from ..core.codegen.machine_code import LANES, PACKED
 from ..core.types import BALL, DOF, TYPE
 from ..engine import native
@@ -138,7 +138,7 @@ def _addresses(model, table, key, form=PACKED):
     # Motions and cut joints would respond to friction, too.
     frictions = table.role.tolist().count(FRICTION)
     if frictions and MOTION not in table.role and not len(table.cuts.index):
-        several = (calls.RESPONSES,) if 1 < frictions <= _MOST_FRICTIONS else ()
+        several = (calls.RESPONSES,) if AT_ONCE < frictions <= _MOST_FRICTIONS else ()
         for which in (calls.AT_REST, *several):
             found[which] = address_of_scene(
                 model, (*key, which), partial(SceneLaws, table, which), form)

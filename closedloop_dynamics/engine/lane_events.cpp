@@ -8,6 +8,7 @@
 
 #include "arms.hpp"
 #include "contact_events.hpp"
+#include "scene_code.hpp"
 #include "static_friction.hpp"
 
 namespace closedloop
@@ -44,19 +45,20 @@ Values LaneEvents::begin(Values state)
     const Index first = LANES * contact::TRIAL_COLUMNS * row;
     batch_.trials.part(first, LANES * (contact::WRONG + 1)).fill(0.0);
   }
-  Index count[LANES], one = 0, several = 0;
+  const Index at_once = held_at_once(static_cast<Index>(frictions_.size()));
+  Index count[LANES], few = 0, several = 0;
   for (Index lane = 0; lane < LANES; ++lane) {
     count[lane] = resting(state, static_cast<std::size_t>(lane));
-    one += count[lane] == 1 ? 1 : 0;
-    several += count[lane] > 1 ? 1 : 0;
+    few += count[lane] > 0 && count[lane] <= at_once ? 1 : 0;
+    several += count[lane] > at_once ? 1 : 0;
   }
   // Joints are held by the same arithmetic as in a run alone.
-  const bool responds = several > 0 && several >= one && batch_.table[routine::RESPONSES] != 0;
-  routine_ = responds ? routine::RESPONSES : one > 0 ? routine::AT_REST : routine::EVALUATION;
+  const bool responds = several > 0 && several >= few && batch_.table[routine::RESPONSES] != 0;
+  routine_ = responds ? routine::RESPONSES : few > 0 ? routine::AT_REST : routine::EVALUATION;
   bool any = false;
   Index ready = LANES;
   for (Index lane = LANES - 1; lane >= 0; --lane) {
-    alone_[lane] = responds ? count[lane] == 1 : count[lane] > 1;
+    alone_[lane] = responds ? count[lane] == 1 : count[lane] > at_once;
     any = any || alone_[lane];
     ready = alone_[lane] ? ready : lane;
   }

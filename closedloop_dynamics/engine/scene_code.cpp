@@ -60,19 +60,21 @@ Index prepare_code(const EffectTable & table)
   if (table.code.fits[0] == 0 || table.loaded[0] > 0) {
     return -1;
   }
-  Index resting = 0;
+  Index frictions = 0, resting = 0;
   for (Index row = 0; row < table.count(); ++row) {
     if (table.enabled[row] != 1) {
       return -1;
     }
     if (table.role[row] == effect::FRICTION) {
+      ++frictions;
       resting += std::fabs(table.states[table.first_state[row]]) < 0.5 ? 1 : 0;
     }
   }
   take_pieces(table);
   store_sides(table);
   table.static_friction.rows[0] = 0;
-  return resting > 1 ? routine::RESPONSES : resting == 1 ? routine::AT_REST : routine::EVALUATION;
+  return resting > held_at_once(frictions) ? routine::RESPONSES :
+         resting > 0 ? routine::AT_REST : routine::EVALUATION;
 }
 
 }  // namespace closedloop

@@ -68,6 +68,11 @@ IN_PLANE = {
         ('joint_friction', {'joint': CRANK, 'coulomb': 0.3}),
         ('joint_friction', {'joint': 'slider_joint', 'coulomb': 0.2}),
         ('external_force', {'point': 'ONE', 'force': (1.0, -2.0), 'torque': 0.3})],
+    'three frictions at rest': [
+        ('joint_friction', {'joint': CRANK, 'coulomb': 0.3}),
+        ('joint_friction', {'joint': 'slider_joint', 'coulomb': 0.2}),
+        ('joint_friction', {'joint': 'rod_joint', 'coulomb': 0.005}),
+        ('external_force', {'point': 'ONE', 'force': (1.0, -2.0), 'torque': 0.3})],
     'contacts': [
         ('contact', {'point': 'ONE', 'origin': (0.0, 0.1), 'angle': 0.1, 'stiffness': 300.0,
                      'exponent': 1.5, 'damping': 0.2, 'friction': 0.3, 'scraping': 2.0}),
@@ -315,15 +320,47 @@ def test_one_routine_holds_a_joint_at_rest(coulomb, breaks_away):
 @pytest.mark.parametrize('coulomb', [50.0, 0.01])
 def test_one_routine_holds_several_joints_at_rest(coulomb):
     """Each up to its limit; whether all stay, or one sets out."""
-    system, state = at_rest('two frictions at rest', coulomb=coulomb)
+    system, state = at_rest('three frictions at rest', coulomb=coulomb)
     ours = found(system, state)
-    assert system.effects.static_friction.rows[0] == 2
+    assert system.effects.static_friction.rows[0] == 3
     readings = system.effects.output.copy()
     theirs = in_parts(system, state)
     assert (np.abs(theirs[0]).max() > 1e-3) == (coulomb < 1.0)
     for one, other in zip((*ours, readings[:, 1]), (*theirs, system.effects.output[:, 1])):
         np.testing.assert_allclose(one, other, rtol=1e-9, atol=1e-9 * (
             1.0 + np.abs(other).max(initial=0.0)))
+
+
+@pytest.mark.parametrize('machine, outcomes', [('slider_crank', 3), ('three_rrr', 4)])
+def test_one_routine_balances_two_joints_at_rest(machine, outcomes):
+    """Those of one freedom one after the other, others together."""
+    scene = load_scene(machine)
+    rubbing = [one.name for one in scene.mechanism.joints
+               if one.type in ('revolute', 'prismatic')][:2]
+    simulation = Simulation(replace(scene, effects={
+        joint: EFFECTS['joint_friction'](joint, coulomb=1.0) for joint in rubbing}))
+    system, state = simulation.data.system, simulation.data.integrated.copy()
+    q, qd, own, _ = parts_of_state(system)
+    state[qd] = 0.0
+    simulation.data.effect_set.initialise_states(
+        state[own], simulation.data.effect_set.rates(state[q], state[qd]))
+    random, seen = np.random.default_rng(3), set()
+    for _ in range(100):
+        for joint, coulomb in zip(rubbing, 10.0 ** random.uniform(-2.0, 1.0, size=2)):
+            simulation.set_effect(joint, coulomb=coulomb)
+        system.tau[:] = random.normal(scale=2.0, size=len(system.tau))
+        ours = found(system, state)
+        # Nobody has asked what responds to it.
+        assert system.effects.static_friction.rows[0] == 0
+        theirs = in_parts(system, state)
+        assert system.effects.static_friction.rows[0] == 2
+        held = np.abs(system.effects.static_friction.share) < 1.0
+        seen.add(tuple(held.tolist()))
+        for one, other in zip(ours, theirs):
+            np.testing.assert_allclose(one, other, rtol=1e-9, atol=1e-9 * (
+                1.0 + np.abs(other).max(initial=0.0)))
+    # Of one freedom the first joint is at its limit before the second.
+    assert len(seen) == outcomes
 
 
 def test_what_has_no_law_in_code_is_evaluated_in_parts():

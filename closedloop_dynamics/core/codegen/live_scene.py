@@ -30,6 +30,9 @@ _addresses = {}
 _ROUNDER = 6755399441055744.0
 # As of ``engine/static_friction.hpp`` [rad/s; m/s].
 REST = 1e-6
+# Frictions, where there are no more, that a routine balances both; responses of one freedom, as of
+# ``engine/static_friction.cpp``.
+AT_ONCE, DEPENDENT = 2, 1e-8
 
 
 def address_of_scene(model, structure, laws, form=PACKED, which=EVALUATION):
@@ -61,7 +64,7 @@ class LiveTrace(MechanismTrace):
         gives how many numbers the rows of arrays have, by their places; ``states`` how many states
         the effects have, ``cuts`` the table of the cut joints that anything acts in, ``at_rest``
         which routine it is for: ``EVALUATION`` where all joints under dry friction slide,
-        ``AT_REST`` where one may be at rest, or ``RESPONSES``.
+        ``AT_REST`` where one may be at rest, or both where there are two, or ``RESPONSES``.
 
     """
 
@@ -125,21 +128,74 @@ class LiveTrace(MechanismTrace):
         """
         Apply static friction, up to its limit, to joints at rest (``engine/static_friction.hpp``).
 
-        ``resting``: limits of the frictions, all zero but one, and the joints that each acts on
-        with its moment arms. Returns accelerations and multipliers, given those without it.
+        ``resting``: limits of the frictions, all zero but one where there are more than two, and
+        the joints that each acts on with its moment arms. Returns accelerations and multipliers,
+        given those without it.
         """
+        if len(resting) == AT_ONCE:
+            return self.held_both(resting, qdd, lam)
         most = self.torques_of(resting)
         more, added = self.response(most)
         joints = {joint for _, arms in resting for joint, _ in arms}
         pull, give = (sum(most[i] * one[i] for i in sorted(joints)) for one in (qdd, more))
-        share = -pull / chosen(give > 0.0, give, 1.0)
-        share = chosen(give > 0.0, larger(-1.0, smaller(1.0, share)), 0.0)
+        share = least_share(pull, give)
         stays = chosen(abs(share) < 1.0, give, 0.0)
         qdd, lam = qdd + more * share, lam + added * share
-        for limit, ((joint, arm), *others) in resting:
-            if arm == 1.0 and not others:
-                qdd[joint] = chosen(stays * limit > 0.0, 0.0, qdd[joint])
+        for limit, arms in resting:
+            self.stop(arms, stays * limit > 0.0, qdd)
         return qdd, lam
+
+    def held_both(self, resting, qdd, lam):
+        """
+        Do so for two joints, as ``minimise_in_box`` in ``engine/static_friction.cpp``.
+
+        The shares x of both limits minimise x' G x / 2 + p' x in a square. Where the minimum is
+        not inside it is on an edge, with one joint at its limit; where both responses are of one
+        freedom, the first joint bears its load, the second what is too much for it.
+        """
+        responses, torques = [], [self.torques_of([one]) for one in resting]
+        for one in torques:
+            responses.append(self.response(one))
+
+        def along(number, rates):
+            limit, arms = resting[number]
+            return sum(arm * rates[joint] for joint, arm in arms) * limit
+
+        (first, mixed), (_, second) = (
+            [along(number, more) for more, _ in responses] for number in range(AT_ONCE))
+        pulls = [along(number, qdd) for number in range(AT_ONCE)]
+        after = least_share(pulls[0], first)
+        best = after, least_share(pulls[1] + mixed * after, second)
+        found = None
+        for edge in (-1.0, 1.0):
+            for number, (own, other) in enumerate(((first, second), (second, first))):
+                share = least_share(pulls[1 - number] + mixed * edge, other)
+                cost = 0.5 * own + edge * pulls[number] + share * (
+                    0.5 * other * share + pulls[1 - number] + mixed * edge)
+                pair = (edge, share) if number == 0 else (share, edge)
+                found = (cost, *pair) if found is None else (
+                    smaller(cost, found[0]), *(chosen(cost < found[0], new, old)
+                                               for new, old in zip(pair, found[1:])))
+        whole = chosen(first > 0.0, first, 1.0)
+        rest = second - mixed * mixed / whole
+        apart = chosen(first > 0.0, rest, 0.0) > DEPENDENT * second
+        inner = (mixed * pulls[0] / whole - pulls[1]) / chosen(apart, rest, 1.0)
+        outer = -(pulls[0] + mixed * inner) / whole
+        beyond = larger(abs(inner), abs(outer)) > 1.0
+        shares = [chosen(apart, chosen(beyond, edge, inside), one)
+                  for edge, inside, one in zip(found[1:], (outer, inner), best)]
+        for share, (more, added) in zip(shares, responses):
+            qdd, lam = qdd + more * share, lam + added * share
+        for share, give, (_, arms) in zip(shares, (first, second), resting):
+            self.stop(arms, chosen(abs(share) < 1.0, give, 0.0) > 0.0, qdd)
+        return qdd, lam
+
+    @staticmethod
+    def stop(arms, stays, qdd):
+        """Have the acceleration of a joint that stays at rest zero; joints of a tendon move."""
+        (joint, arm), *others = arms
+        if arm == 1.0 and not others:
+            qdd[joint] = chosen(stays, 0.0, qdd[joint])
 
     def torques_of(self, resting):
         """Return the torques of frictions at their limits, in the joints."""
@@ -155,6 +211,12 @@ class LiveTrace(MechanismTrace):
             found = np.concatenate(self.response(self.torques_of([one])))
             self.store(RESPONSE, found, number * len(found))
             self.outputs.append((LIMIT, number, one[0]))
+
+
+def least_share(pull, give):
+    """Return the share of a limit, 1 at most, that holds a joint against a pull."""
+    share = larger(-1.0, smaller(1.0, -pull / chosen(give > 0.0, give, 1.0)))
+    return chosen(give > 0.0, share, 0.0)
 
 
 class LiveForces(Forces):
