@@ -17,7 +17,7 @@ from .element import (
     ACROSS_B, AXIS, FOLLOWED, IN_PLANE, POINT_A, POINT_B, RATE_ONLY, ROW_A, ROW_B, SCALE, SIDE_A,
     SIDE_B, SLIDES, ZERO)
 from .force_law import FRICTION, INERTIA, MOTION
-from ..core.codegen import function_table as calls
+from ..core.codegen import function_table as calls, with_torque_response
 from ..core.codegen.live_scene import address_of_scene, AT_ONCE, LiveForces
 from ..core.codegen.machine_code import LANES, PACKED
 from ..core.types import BALL, DOF, TYPE
@@ -139,7 +139,10 @@ def _addresses(model, table, key, form=PACKED):
     frictions = table.role.tolist().count(FRICTION)
     if frictions and MOTION not in table.role and not len(table.cuts.index):
         several = (calls.RESPONSES,) if AT_ONCE < frictions <= _MOST_FRICTIONS else ()
-        for which in (calls.AT_REST, *several):
+        # An evaluation in parts has the response to one friction at nearly the same cost.
+        one = () if form == PACKED and balances_in_parts(table) and with_torque_response(
+            model) else (calls.AT_REST,)
+        for which in (*one, *several):
             found[which] = address_of_scene(
                 model, (*key, which), partial(SceneLaws, table, which), form)
     return found
