@@ -26,77 +26,34 @@ static void carry(
   }
 }
 
-/// Set the wrenches that arrive at the bodies of a path, and at their parents, to zero.
-static void clear_arrived(const Model & model, const Workspace & work, Index first, Index last)
-{
-  for (Index entry = first; entry < last; ++entry) {
-    const Index i = model.path_body[entry];
-    for (Index n = 0; n < 6; ++n) {
-      work.force(i, n) = work.force(model.tree(i, tree::PARENT), n) = 0.0;
-    }
-  }
-}
-
-/// Respond to a coupling of joints; a path entry's body comes before its parent.
-static void respond_in_joints(
-  const Model & model, const Workspace & work, Index which, Index a, Index row)
-{
-  const Indexes & cut = model.cut;
-  const Table & arrived = work.force;
-  const Values & share = work.share;
-  const Index first = cut(a, cut::PATH_A), last = cut(a, cut::PATH_END);
-  clear_arrived(model, work, first, last);
-  for (Index entry = first; entry < last; ++entry) {
-    const Index i = model.path_body[entry], p = model.tree(i, tree::PARENT);
-    // That of the joint of a law is its slope.
-    const double factor = i == cut(a, cut::BODY_A) ? work.equation[3] :
-      model.cut_point(a, cut::FACTORS + entry - first);
-    share[0] = factor;
-    share[1] = 0.0;
-    if (which == kernel::REDUCE) {
-      call_joint_kernel(
-        model.kernel(i, kernel::REDUCE_COUPLED), model.body.row(i), work.body.row(i),
-        work.body.row(i), arrived.row(i), share.data);
-      for (Index n = 0; n < 6; ++n) {
-        arrived(p, n) += arrived(i, n);
-      }
-    } else if (which == kernel::LEVER && work.planar()) {
-      // A joint's angle is its body's less its parent's; a slide turns with its parent.
-      if (model.tree(i, tree::TYPE) == tree::PRISMATIC) {
-        arrived(p, 0) += arrived(i, 0);
-      } else {
-        share[0] += arrived(i, 0);
-        arrived(p, 0) -= factor;
-      }
-    }
-    work.response(entry, row) = share[0];
-    work.response_scaled(entry, row) = share[1];
-  }
-}
-
-/// Respond to a place or angle of two bodies that joints are coupled to.
-static void respond_in_both(const Model & model, const Workspace & work, Index which, Index a)
+/// Respond to a coupling of joints, and to the place or angle of two bodies that it may belong to; a
+/// path entry's body comes before its parent.
+static void respond_with_joints(
+  const Model & model, const Workspace & work, Index which, Index a, CutParts parts)
 {
   const Indexes & cut = model.cut;
   const Table & arrived = work.force;
   const Values & share = work.share, & equation = work.equation;
   const Index first = cut(a, cut::PATH_A), last = cut(a, cut::PATH_END), size = work.size();
-  const Index own_columns = work.planar() ?
-    static_cast<Index>(plane::CUT_POINT_COLUMNS) : static_cast<Index>(space::CUT_POINT_COLUMNS);
-  const Index before = cut::FACTORS + own_columns - first;
-  clear_arrived(model, work, first, last);
-  for (Index n = 0; n < size; ++n) {
+  const bool reduces = which == kernel::REDUCE;
+  for (Index entry = first; entry < last; ++entry) {
+    const Index i = model.path_body[entry];
+    arrived[i].fill(0.0);
+    arrived[model.tree(i, tree::PARENT)].fill(0.0);
+  }
+  for (Index n = 0; parts.bodies && n < size; ++n) {
     arrived(cut(a, cut::BODY_A), n) = equation[3 + n];
   }
-  for (Index n = 0; n < size; ++n) {
+  for (Index n = 0; parts.bodies && n < size; ++n) {
     arrived(cut(a, cut::BODY_B), n) += equation[3 + size + n];
   }
   for (Index entry = first; entry < last; ++entry) {
     const Index i = model.path_body[entry], p = model.tree(i, tree::PARENT);
-    const double factor = model.cut_point(a, before + entry);
+    // That of the joint of a law is its slope.
+    const double factor = !parts.bodies && i == cut(a, cut::BODY_A) ? equation[3] :
+      model.cut_point(a, parts.sum + cut::FACTORS + entry - first);
     share[0] = factor;
     share[1] = 0.0;
-    const bool reduces = which == kernel::REDUCE;
     call_joint_kernel(
       model.kernel(i, reduces ? static_cast<Index>(kernel::REDUCE_COUPLED) : which),
       model.body.row(i), work.body.row(i), work.body.row(i), arrived.row(i), share.data);
@@ -106,8 +63,9 @@ static void respond_in_both(const Model & model, const Workspace & work, Index w
     for (Index n = 0; n < size; ++n) {
       arrived(p, n) += arrived(i, n);
     }
-    if (which == kernel::LEVER && size == 3) {
-      // As above, in a column that no planar wrench has.
+    if (which == kernel::LEVER && work.planar()) {
+      // A joint's angle is its body's less its parent's; a slide turns with its parent. In a column
+      // that no planar wrench has.
       if (model.tree(i, tree::TYPE) == tree::PRISMATIC) {
         arrived(p, 3) += arrived(i, 3);
       } else {
@@ -125,12 +83,9 @@ void respond(const Model & model, const Workspace & work, Index which, Index a, 
   const Indexes & cut = model.cut;
   const Table & wrench = work.wrench;
   const Index size = work.size();
-  if (cut(a, cut::TYPE) == cut::COUPLING || cut(a, cut::TYPE) == cut::PRESCRIBED_JOINT) {
-    respond_in_joints(model, work, which, a, row);
-    return;
-  }
-  if (cut(a, cut::TYPE) >= cut::COUPLED_PLACE) {
-    respond_in_both(model, work, which, a);
+  const CutParts parts = model.parts(a);
+  if (parts.joints) {
+    respond_with_joints(model, work, which, a, parts);
     return;
   }
   const Index place = row * (3 + 2 * size) + 3;
@@ -196,10 +151,13 @@ void measure(const Model & model, const Workspace & work, Index a)
 {
   const Indexes & cut = model.cut;
   const Table & point = model.cut_point;
-  const Index type = cut(a, cut::TYPE), last = point.columns - cut::MOTION_COLUMNS;
-  double value, rate;
-  if (type == cut::COUPLING || type == cut::PRESCRIBED_JOINT) {
-    sum_of_joints(model, work, a, 0, value, rate);
+  const CutParts parts = model.parts(a);
+  const Index last = point.columns - cut::MOTION_COLUMNS;
+  double value = 0.0, rate = 0.0;
+  if (parts.joints) {
+    sum_of_joints(model, work, a, parts.sum, value, rate);
+  }
+  if (!parts.bodies) {
     work.equation[0] = work.equation[1] = work.equation[2] = 0.0;
     if (cut(a, cut::BODY_A) != 0) {
       // The law of a coupling, and its slope behind it.
@@ -209,19 +167,12 @@ void measure(const Model & model, const Workspace & work, Index a)
     }
     work.equation[0] += value;
     work.equation[1] += rate;
-    if (type == cut::PRESCRIBED_JOINT) {
-      for (Index n = 0; n < cut::MOTION_COLUMNS; ++n) {
-        work.equation[n] -= point(a, last + n);
-      }
+    for (Index n = 0; parts.moves && n < cut::MOTION_COLUMNS; ++n) {
+      work.equation[n] -= point(a, last + n);
     }
     return;
   }
-  if (type >= cut::COUPLED_PLACE) {
-    sum_of_joints(
-      model, work, a,
-      work.planar() ?
-      static_cast<Index>(plane::CUT_POINT_COLUMNS) : static_cast<Index>(space::CUT_POINT_COLUMNS),
-      value, rate);
+  if (parts.joints) {
     point(a, last) = -value;
     point(a, last + 1) = -rate;
     point(a, last + 2) = 0.0;

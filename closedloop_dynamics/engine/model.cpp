@@ -49,16 +49,13 @@ void check_tree(const Model & model)
 }
 
 /// Columns of `cut_point` that a cut joint needs.
-Index columns_of(const Model & model, const Index * cut)
+Index columns_of(const Model & model, Index a)
 {
-  const Index type = cut[cut::TYPE];
-  const Index least = model.planar() ?
-    static_cast<Index>(plane::CUT_POINT_COLUMNS) : static_cast<Index>(space::CUT_POINT_COLUMNS);
-  const bool both = type >= cut::COUPLED_PLACE;
-  const Index factors = type == cut::COUPLING || type == cut::PRESCRIBED_JOINT || both ?
-    cut::FACTORS + cut[cut::PATH_END] - cut[cut::PATH_A] : 0;
-  const Index motion = type >= cut::PRESCRIBED_JOINT ? static_cast<Index>(cut::MOTION_COLUMNS) : 0;
-  return std::max(least, (both ? least : 0) + factors + motion);
+  const CutParts parts = model.parts(a);
+  const Index factors = parts.joints ?
+    cut::FACTORS + model.cut(a, cut::PATH_END) - model.cut(a, cut::PATH_A) : 0;
+  const Index motion = parts.moves ? static_cast<Index>(cut::MOTION_COLUMNS) : 0;
+  return std::max(model.between_columns(), parts.sum + factors + motion);
 }
 
 /// Returns how many equations are worked on.
@@ -90,7 +87,7 @@ Index check_cuts(const Model & model)
       is_range(cut[cut::PATH_COMMON], cut[cut::PATH_END], entries),
       "expected paths among the entries");
     require(
-      model.cut_point.columns >= columns_of(model, cut), "expected factors of all that is coupled");
+      model.cut_point.columns >= columns_of(model, a), "expected factors of all that is coupled");
   }
   require(
     within(model.cut, cut::BODY_A, 0, 0, nv) && within(model.cut, cut::BODY_B, 0, 0, nv) &&

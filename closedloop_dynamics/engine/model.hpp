@@ -18,6 +18,15 @@ inline Index count_equations(Index bits)
   return static_cast<Index>(std::bitset<6>(static_cast<unsigned long long>(bits)).count());  // NOLINT: of bitset
 }
 
+/// What the equations of a cut joint are made of, by its type.
+struct CutParts
+{
+  bool bodies;  ///< The place or direction of two bodies
+  bool joints;  ///< A weighted sum of joints of the tree
+  bool moves;  ///< A right-hand side that is prescribed
+  Index sum;  ///< Column of Model.cut_point where that sum begins
+};
+
 /// Constant description of one mechanism. Per body there is one row, so that what belongs to one
 /// body lies in one piece of memory; row 0 is the ground: recursions need no special case for it.
 /// Bodies are numbered so that a parent comes before its children, subsystem by subsystem;
@@ -65,6 +74,20 @@ struct Model
   /// Of the same memory, but for the equations that are worked on; throws std::invalid_argument.
   Model(const Model & like, Matrix<const Index> cut);
 
+  CutParts parts(Index a) const
+  {
+    const Index type = cut(a, cut::TYPE);
+    const bool tied = type == cut::COUPLING || type == cut::PRESCRIBED_JOINT;
+    return {
+      !tied, tied || type >= cut::COUPLED_PLACE, type >= cut::PRESCRIBED_JOINT,
+      tied ? 0 : between_columns()};
+  }
+  /// Columns of `cut_point` for what is between two bodies.
+  Index between_columns() const
+  {
+    return planar() ?
+           static_cast<Index>(plane::CUT_POINT_COLUMNS) : static_cast<Index>(space::CUT_POINT_COLUMNS);
+  }
   Index joints() const {return tree.rows - 1;}
   Index equations() const {return column.size - 1;}
   /// Length of the coordinates.

@@ -150,7 +150,7 @@ double length(const double * place, Index size)
 double loop_size(const Model & model, Index a)
 {
   const Indexes & cut = model.cut;
-  if (cut(a, cut::TYPE) == cut::COUPLING || cut(a, cut::TYPE) == cut::PRESCRIBED_JOINT) {
+  if (!model.parts(a).bodies) {
     return 0.0;
   }
   const Index size = model.gravity.size;
@@ -246,8 +246,7 @@ void loop_units(const Model & model, Indices places, Table jac, Values rows, Val
     column = column > 0.0 ? column : largest > 0.0 ? largest : 1.0;
   }
   for (Index a = 0; a < cut.rows; ++a) {
-    const Index type = cut(a, cut::TYPE);
-    if (type != cut::COUPLING && type != cut::PRESCRIBED_JOINT && type < cut::COUPLED_PLACE) {
+    if (!model.parts(a).joints) {
       continue;
     }
     const Index row = cut(a, cut::CUT_ROW);
