@@ -185,10 +185,6 @@ inline constexpr auto precondition<&In<&Run::make>::call> =
   };
 
 template<>
-inline constexpr auto precondition<&Of<&Run::choose_more_seldom>::call> =
-  [](RunObject &, Index most) {return expected::unless(most > 0, expected::sizes);};
-
-template<>
 inline constexpr auto precondition<&In<&Run::command>::call> =
   [](RunObject & of, Vector<const double> torque) {
     return expected::unless(torque.size == of.system->tau.size);
@@ -525,9 +521,7 @@ const Entry entries[] = {
   entry<&Of<&Run::sample>::call>("sample(wanted): errors of fixed steps"),
   released<&In<&Run::advance>::call>("advance_run(tau, steps): its outcome, 0 where all are made"),
   released<&In<&Run::make>::call>("make_steps(size, steps, call): as of advance_run"),
-  released<&In<&Run::resume>::call>("resume_run(): as of advance_run"),
-  entry<&Of<&Run::give_up>::call>("give_up(): end at the state of a failed step"),
-  entry<&Of<&Run::choose_more_seldom>::call>("choose_more_seldom(most): equations"),
+  released<&In<&Run::resume>::call>("resume_run(goes_on): as of advance_run"),
   entry<&In<&Run::command>::call>("command(tau): apply torques"),
   entry<&In<&Run::add_work>::call>("add_work(): of the torques held up to there"),
   entry<&On<&Run::find_start>::call>("find_start(): the energy there"),

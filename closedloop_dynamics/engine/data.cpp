@@ -11,6 +11,7 @@
 
 #include "batch.hpp"
 #include "bounds.hpp"
+#include "left_out.hpp"
 #include "library.hpp"
 
 namespace closedloop
@@ -62,7 +63,7 @@ private:
 }  // namespace
 
 AllEquations::AllEquations(const Model & all, const Model & some, const Workspace & shared)
-: model(all), work(all), lam(all.equations()), kept(all.equations()), own(all), numbers(4),
+: model(all), work(all), lam(all.equations()), kept(all.equations()), own(all), numbers(left_out::COLUMNS),
   energy(2)
 {
   work.body = shared.body;

@@ -12,12 +12,10 @@
 namespace closedloop
 {
 
+using namespace left_out;
+
 namespace
 {
-// Columns of AllEquations.numbers (integration/system.py).
-enum : Index {PIVOT, KINETIC, LENIENT, OPENED};
-// Of LENIENT: a part of a step that is well must not end it, or the step would be repeated for ever.
-constexpr double STAYS = 2.0;
 // Kinetic energy that the projection may discard after a step, of the most that there was: more is
 // no error of the step, but equations that hinder the motion.
 constexpr double DISCARDED = 1e-6;
@@ -63,7 +61,7 @@ bool equations_suffice(const System & system, Stabilisation stabilisation, Value
     numbers[OPENED] = hold ? 0.0 : 1.0;
     return false;
   }
-  if (strict && numbers[LENIENT] < STAYS) {
+  if (strict && numbers[STAYS_LENIENT] == 0.0) {
     numbers[LENIENT] = 0.0;
   }
   const double limit = std::min(GOOD_PIVOT, SMALLER * pivot);

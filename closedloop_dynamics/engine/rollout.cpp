@@ -79,7 +79,7 @@ Status make(
       {zero_order_hold - done % zero_order_hold, decimation - done % decimation, steps - done});
     Outcome found = run.make(system, state, run.guard_limits().step_size, at_once, at_once);
     while (found == Outcome::INACCURATE) {
-      found = run.resume(system, state);
+      found = run.resume(system, state, true);
     }
     if (found != Outcome::DONE) {
       return status_of(found);

@@ -12,6 +12,7 @@
 #include <stdexcept>
 
 #include "evaluation.hpp"
+#include "left_out.hpp"
 #include "loop_closure.hpp"
 #include "manifold.hpp"
 #include "recursion.hpp"
@@ -33,8 +34,11 @@ constexpr double LEAP = 1.5 * M_PI;
 // A step is made again in two halves: first one of so many, then, twice as rarely each time, one of
 // so many.
 constexpr Index FIRST_SAMPLE = 30, SAMPLE_EVERY = 1000;
-// Steps before the first check whether equations can be left out again.
-constexpr Index EQUATIONS_FIRST_CHECK = 64;
+// Steps before the first check whether equations can be left out again, and the most between two.
+constexpr Index EQUATIONS_FIRST_CHECK = 64, EQUATIONS_CHECK_EVERY = 4096;
+// How often equations are chosen while the motion goes on by less than a share of a step.
+constexpr Index MOST_EXCHANGES = 20;
+constexpr double LEAST_PROGRESS = 1e-2;
 
 // Checks, in this order; bits of what is due.
 constexpr unsigned CABLES = 1, ENERGY = 2, EQUATIONS = 4, LOOPS = 8;
@@ -206,7 +210,6 @@ RunReport Run::report()
 {
   RunReport found = report_;
   found.time = time();
-  found.advanced = advanced_;
   found.check_residual = check_.residual;
   found.first_residual = begun_ ? begin_.residual : 0.0;
   found.at_start = !account_.knows_start();
@@ -237,6 +240,7 @@ void Run::jump()
 {
   checked_ = Checked::NOT;
   cables_checked_ = false;
+  lenient_since_ = -std::numeric_limits<double>::infinity();
 }
 
 void Run::jump_balance(const System & system, Values state, double energy)
@@ -473,6 +477,7 @@ Outcome Run::check(const System & system, Values state)
   }
   if ((due_ & EQUATIONS) != 0) {
     due_ -= EQUATIONS;
+    leaves_out_ = true;
     return Outcome::CHOICE;
   }
   due_ -= LOOPS;
@@ -540,16 +545,44 @@ Outcome Run::make_portion(const System & system, Values state, Index steps)
   }
   advanced_ = status == Status::INTERRUPTED ? 0.0 : advanced;
   handed_ = status == Status::INTERRUPTED ? 0 : steps;
-  return Outcome::FAILED;
+  return choose_or_end(system);
 }
 
-void Run::give_up()
+/// After a step that failed: ask for other closure equations, where these may be why.
+Outcome Run::choose_or_end(const System & system)
+{
+  const double reached = time() + advanced_;
+  if (reached > reached_ + LEAST_PROGRESS * report_.size) {
+    reached_ = reached;
+    exchanges_ = 0;
+  }
+  const Status status = report_.status;
+  if (system.whole.empty() || stepper_->stabilisation() < Stabilisation::PROJECTION ||
+    status == Status::CONTACT_PASSED || status == Status::INTERRUPTED)
+  {
+    return give_up();
+  }
+  if (++exchanges_ > MOST_EXCHANGES) {
+    report_.status = Status::NO_PROGRESS;
+    return give_up();
+  }
+  const Values & numbers = system.whole.numbers;
+  const bool poor = status == Status::POOR_EQUATIONS;
+  report_.nearby = !poor || numbers[left_out::OPENED] == 1.0;
+  report_.or_these = poor && numbers[left_out::LENIENT] == 0.0;
+  numbers[left_out::ASKED] = 1.0;
+  return Outcome::CHOICE;
+}
+
+/// End at the state that a failed step has left.
+Outcome Run::give_up()
 {
   report_.simulated += advanced_;
   report_.steps += std::nearbyint(advanced_ / report_.size);
   time_base_ += advanced_;
   advanced_ = 0.0;
   handed_ = 0;
+  return Outcome::FAILED;
 }
 
 Outcome Run::estimate_error(const System & system, Values state)
@@ -644,6 +677,7 @@ void Run::begin_call(double size, Index steps, Index call)
 {
   due_ = 0;
   handed_ = 0;
+  reached_ = -std::numeric_limits<double>::infinity();
   left_ = std::max<Index>(steps, 0);
   call_ = call;
   report_.size = size;
@@ -668,10 +702,26 @@ Outcome Run::make(const System & system, Values state, double size, Index steps,
   return make_until_outcome(system, state);
 }
 
-Outcome Run::resume(const System & system, Values state)
+Outcome Run::resume(const System & system, Values state, bool goes_on)
 {
+  if (!goes_on) {
+    return give_up();
+  }
+  if (std::exchange(leaves_out_, false) && !system.whole.empty()) {
+    equations_between_ = std::min(2 * equations_between_, EQUATIONS_CHECK_EVERY);
+  }
   if (handed_ > 0) {
-    // Other equations: from where it failed.
+    // From where it failed.
+    const Values & numbers = system.whole.numbers;
+    if (!system.whole.empty() && numbers[left_out::ASKED] == 1.0) {
+      // Again from the same state, a part of the step was well, and the rest is not: if that ended it,
+      // the step would be repeated for ever.
+      const double here = time() + advanced_;
+      numbers[left_out::LENIENT] = 1.0;
+      numbers[left_out::STAYS_LENIENT] = here == lenient_since_ ? 1.0 : 0.0;
+      numbers[left_out::ASKED] = 0.0;
+      lenient_since_ = here;
+    }
     stepper_->go_on();
     const Outcome found = make_portion(system, state, handed_);
     if (found != Outcome::DONE) {
@@ -697,11 +747,6 @@ void Run::write_finding(Values found) const
   found[finding::LOST] = energy.worst_lost;
   found[finding::MOVED] = energy.worst_moved;
   found[finding::TIME] = energy.worst_time;
-}
-
-void Run::choose_more_seldom(Index most)
-{
-  equations_between_ = std::min(2 * equations_between_, most);
 }
 
 }  // namespace closedloop

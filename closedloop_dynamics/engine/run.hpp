@@ -55,8 +55,8 @@ struct GuardLimits
   }
 };
 
-/// Why a run comes back: all steps are made; or it is for the host to check torques, choose other
-/// equations, or all of them after a step that failed; or a guard has found a small or a large error
+/// Why a run comes back: all steps are made; or it is for the host to check torques, or to choose
+/// closure equations; or it ends at a step that failed; or a guard has found a small or a large error
 /// of the energy balance, a leap of a cable, a singular position, open loops.
 enum class Outcome : Index
 {
@@ -91,7 +91,10 @@ struct RunReport
   double time = 0.0;  ///< [s]
   Status status = Status::DONE;  ///< Of the steps that failed
   double size = 0.0;  ///< Of the present steps [s]
-  double advanced = 0.0;  ///< Time by which the steps that failed have advanced [s]
+  /// Of the closure equations that are to be chosen: whether they are to be looked for around the
+  /// position, too, as loops may have opened, and whether those in use may be kept.
+  bool nearby = false;
+  bool or_these = false;
   /// Cost of steps: time simulated [s], steps, wall time and, if measured, CPU time of the thread [s].
   double simulated = 0.0;
   double steps = 0.0;
@@ -120,8 +123,8 @@ struct RunReport
   void names(Visitor && visit) const
   {
     visit(
-      "time", time, "status", status, "size", size, "advanced", advanced, "simulated", simulated, "steps", steps,
-      "elapsed", elapsed, "worked", worked, "local_error", local_error, "moved", energy.moved,
+      "time", time, "status", status, "size", size, "nearby", nearby, "or_these",
+      or_these, "simulated", simulated, "steps", steps, "elapsed", elapsed, "worked", worked, "local_error", local_error, "moved", energy.moved,
       "worst", energy.worst, "worst_time", energy.worst_time, "worst_lost", energy.worst_lost,
       "worst_moved", energy.worst_moved, "lost", lost, "moving", moving, "check_time", check_time,
       "check_residual", check_residual, "first_residual", first_residual, "failed", failed,
@@ -206,12 +209,9 @@ public:
   Outcome advance(const System &, Values state, const OptionalVector & tau, Index steps);
   /// Make steps of a size [s]; `call`: the length of the call that they are part of.
   Outcome make(const System &, Values state, double size, Index steps, Index call);
-  /// Continue with the rest of a call.
-  Outcome resume(const System &, Values state);
-  /// End at the state that a failed step has left.
-  void give_up();
-  /// Wait twice as long before equations are chosen again, up to so many steps.
-  void choose_more_seldom(Index most);
+  /// Continue with the rest of a call, on the equations that were chosen or that are in use; or end at
+  /// the state that a failed step has left.
+  Outcome resume(const System &, Values state, bool goes_on);
 
   /// Apply torques, and add the work of those that were held up to a state.
   void command(const System &, Values state, Vector<const double> torque);
@@ -262,6 +262,8 @@ private:
   void keep(const System &, Values state, std::vector<double> & kept);
   Outcome make_until_outcome(const System &, Values state);
   Outcome make_portion(const System &, Values state, Index steps);
+  Outcome choose_or_end(const System &);
+  Outcome give_up();
   void begin_call(double size, Index steps, Index call);
   void book(const System &, Index steps);
   Outcome estimate_error(const System &, Values state);
@@ -281,6 +283,9 @@ private:
   Index handed_ = 0;
   double advanced_ = 0.0;
   unsigned due_ = 0;
+  /// How often equations were asked for since it last got on, and where that was [s].
+  Index exchanges_ = 0;
+  double reached_ = 0.0;
 
   RunReport report_;
   /// Steps until the error of one is estimated, negative if never, and to the next time.
@@ -293,6 +298,10 @@ private:
   Index between_ = 1;
   Index equations_since_ = 0;
   Index equations_between_ = 1;
+  /// Whether equations are being chosen that are left out again; the time since which there are none
+  /// better than those in use [s].
+  bool leaves_out_ = false;
+  double lenient_since_ = 0.0;
   Checked checked_ = Checked::NOT;
   bool begun_ = false;
   bool warned_ = false;

@@ -3,12 +3,10 @@
 
 """How an advance ended, and constants of the engine's steppers; a test compares them."""
 
-# Status of an advance. SINGULAR: of a batch, which has no rank-revealing path.
-(DONE, NOT_FINITE, OPEN_LOOP, STEP_TOO_SMALL, TOO_MUCH_WORK, INTERRUPTED,
- POOR_EQUATIONS, CONTACT_PASSED) = range(8)
-SINGULAR = 9
-# A guard may have ended the run, or not.
-DOUBTFUL = 10
+# Status of an advance. NO_PROGRESS: whichever closure equations are left out. SINGULAR: of a
+# batch, which has no rank-revealing path. DOUBTFUL: a guard may have ended the run, or not.
+(DONE, NOT_FINITE, OPEN_LOOP, STEP_TOO_SMALL, TOO_MUCH_WORK, INTERRUPTED, POOR_EQUATIONS,
+ CONTACT_PASSED, NO_PROGRESS, SINGULAR, DOUBTFUL) = range(11)
 
 # Evaluation limit between two times of output, of the error-controlled methods; next to a singular
 # position one counts as so many.

@@ -26,10 +26,6 @@ MOST_UNROLLED_OPERATIONS, MOST_UNROLLED_IN_PLANE = 50_000, 5_000
 LEAST_OPERATIONS_OF_A_JOINT = 30
 # Equations that are left out, up to which multipliers of all are found by a routine.
 MOST_LEFT_OUT = 12
-# Columns of ``System.whole.numbers``: the pivot below which other equations are looked for; the
-# most kinetic energy so far [J]; whether there are none better, so that all but open loops is
-# accepted; whether those left out have opened at the latest step that was refused.
-PIVOT, KINETIC, LENIENT, OPENED = range(4)
 
 
 class JointPlaces(NamedTuple):

@@ -6,10 +6,11 @@
 import numpy as np
 
 from .errors import ClosureError, NumericalError
+from .guards import MOST_EXCHANGES
 from ..core import types as t
 from ..integration.control import (
-    CONTACT_PASSED, MOST_EVALUATIONS, NOT_FINITE, OPEN_LOOP, POOR_EQUATIONS, RANK_REVEALING_WORK,
-    TOO_MUCH_WORK)
+    CONTACT_PASSED, MOST_EVALUATIONS, NO_PROGRESS, NOT_FINITE, OPEN_LOOP, POOR_EQUATIONS,
+    RANK_REVEALING_WORK, TOO_MUCH_WORK)
 
 # Of the closure error at which loops count as open: from here on they may contradict one another.
 CONTRADICTION = 0.1
@@ -24,6 +25,12 @@ def failure(data, status, size):
             f'The state left the finite numbers at t = {data.time:.9g} s; the last finite '
             f'state is kept. Take a smaller step than {size:g} s, or smaller torques '
             f'(largest now {np.abs(data.system.tau).max(initial=0.0):g}).')
+    if status == NO_PROGRESS:
+        return NumericalError(
+            f'The motion does not go on at t = {data.time:.9g} s, whichever closure equations '
+            f'are left out as repeating others ({MOST_EXCHANGES} choices were tried); the '
+            'last good state is kept. Make lengths and axes of the loops agree to more '
+            'digits, or start elsewhere.')
     # Loops that are well closed here opened because of the step, or at a change point.
     if status == POOR_EQUATIONS or status == OPEN_LOOP and data.has_redundant_constraints and (
             data.closure > CONTRADICTION * data.system.settings.closure_limit):

@@ -46,8 +46,8 @@ ENERGY_WARN, ENERGY_ERROR = 1e-3, 0.1
 # Steps between two checks of the closure; and the closure error, against the size of the
 # mechanism, at which loops count as open.
 CLOSURE_CHECK_EVERY, OPEN = 500, 1e-3
-# The most steps between two checks whether equations can be left out again.
-EQUATIONS_CHECK_EVERY = 4096
+# How often closure equations are exchanged without progress.
+MOST_EXCHANGES = 20
 # Torques up to this one are not checked for their effect within a step [N m or N].
 USUAL_TORQUE = 1e6
 # In a step, of a joint [rad, m]: error-controlled methods would divide it for minutes.

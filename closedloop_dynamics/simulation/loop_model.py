@@ -280,6 +280,21 @@ class LoopModel:
             return None
         return self.select(kept)
 
+    def next_choice(self, q, wanted, better):
+        """
+        Return the model to go on with after a step that failed; None where there is none.
+
+        ``wanted``: as the engine's run reports it, ``nearby`` as for ``reselected``, and
+        ``or_these``: whether the present equations may be kept; ``better`` is as for that, too.
+        """
+        found = self.reselected(q, better, wanted.nearby)
+        if found is None and wanted.or_these and not (wanted.nearby and not self.is_valid(q)):
+            return self.model
+        if found is None and wanted.nearby and self.contradiction(q):
+            return None
+        # An equation left out may be the one that closes the loop.
+        return found or self.select(None)
+
     def contradiction(self, q):
         """Return which loops contradict one another near a position, as ``Assembler`` has it."""
         return Assembler(self.mechanism, self.equations).contradiction(q, AS_GOOD_AS_CLOSED)

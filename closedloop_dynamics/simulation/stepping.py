@@ -6,7 +6,7 @@
 from copy import deepcopy
 from dataclasses import replace
 import math
-from typing import Any, Callable, Dict, List, Mapping, Optional, Sequence, Tuple
+from typing import Any, Callable, Dict, List, Mapping, NoReturn, Optional, Sequence, Tuple
 import warnings
 
 import numpy as np
@@ -22,8 +22,7 @@ from .errors import (
     StiffnessError)
 from .failures import failure
 from .guards import (
-    CLOSING, EnergyGuard, EQUATIONS_CHECK_EVERY, LARGEST_MOTION, opened_loops, StiffnessGuard,
-    USUAL_TORQUE, guard_limits)
+    EnergyGuard, guard_limits, LARGEST_MOTION, opened_loops, StiffnessGuard, USUAL_TORQUE)
 from .modeling import extent
 from .monitor import Monitor, RunReport
 from .named_array import reals
@@ -40,11 +39,9 @@ from ..integration.registry import INTEGRATORS, ROSENBROCK
 from ..integration.run import (
     CABLE_LEAPT, CHOICE, COMMAND, ENERGY_LOST, FAILED, INACCURATE, Run, GuardLimits)
 from ..integration.system import (
-    AccelerationDerivatives, LENIENT, OPENED, System, with_equations, with_partition)
+    AccelerationDerivatives, System, with_equations, with_partition)
 from ..mechanism.fields import at, FieldError
 
-# How often equations are exchanged while the motion goes on by less than a share of a step.
-MOST_EXCHANGES, LEAST_PROGRESS = 20, 1e-2
 # Other equations replace those in use where they are further from dependent by the first factor;
 # by the second one where code is for those in use alone, as loops over bodies take longer.
 BETTER, WORTH_LOOPS = 3.0, 10.0
@@ -72,7 +69,7 @@ class Stepping:
     """
 
     def __init__(self, data: Readings) -> None:
-        self.data, self.pace, self._lenient_from, self._methods = data, 1.0, b'', 0
+        self.data, self.pace, self._methods = data, 1.0, 0
         self._state, self._q, self._effects = data.integrated, data.q, data.effect_set
         self._measured, self._delay_line = np.zeros(5), DelayLine()
         # What is known of singular positions that were passed, and of which.
@@ -284,39 +281,39 @@ class Stepping:
         self._go_on(self.run.make_steps(size, steps, call))
 
     def _go_on(self, outcome: int) -> None:
-        """Warn of, or raise, the outcome of a run; go on with other equations where they serve."""
-        reached, exchanged = -math.inf, 0
+        """Warn of, or raise, the outcome of a run, or choose equations for it; let it go on."""
         while outcome:
-            if outcome == FAILED:
-                report = self.run.report
-                if report.time + report.advanced > reached + LEAST_PROGRESS * report.size:
-                    reached, exchanged = report.time + report.advanced, 0
-                exchanged += 1
-                self._choose_or_stop(report, exchanged)
-            elif outcome == CHOICE:
-                if self.leave_out_again():
-                    self.run.choose_more_seldom(EQUATIONS_CHECK_EVERY)
-            else:
-                self._tell(outcome)
-            outcome = self.run.resume_run()
+            goes_on = False
+            try:
+                goes_on = self._tell(outcome)
+            finally:
+                outcome = self.run.resume_run(goes_on)
 
-    def _tell(self, outcome: int) -> None:
-        """Warn of, or raise, findings of the guards; the latest good state is kept."""
+    def _tell(self, outcome: int) -> bool:
+        """
+        Warn of, or raise, an outcome, or choose equations; the latest good state is kept.
+
+        Returns whether the run is to go on.
+        """
         run, guard = self.run, self.energy_guard
+        if outcome == CHOICE:
+            return self.choose_equations(run.report)
+        if outcome == FAILED:
+            self._raise_failure(run.report)
         if outcome == INACCURATE:
             warnings.warn(guard.finding, InaccuracyWarning, stacklevel=2)
-        elif outcome == ENERGY_LOST:
+            return True
+        if outcome == ENERGY_LOST:
             problem, report = guard.problem(), run.report
             self.restore(
                 run.kept(), report.check_time, report.check_residual)
             raise problem
-        elif outcome == CABLE_LEAPT:
+        if outcome == CABLE_LEAPT:
             report = run.report
             place = [*self._effects.winding_places()][report.leapt]
             self.restore(run.kept(True), report.cable_time, report.cable_residual)
             raise leapt(place, report.winding, self.data.time)
-        else:
-            raise opened_loops(self.data, run.guard_limits)
+        raise opened_loops(self.data, run.guard_limits)
 
     def check_energy(self) -> None:
         """
@@ -416,7 +413,7 @@ class Stepping:
         self._state[:] = other._state
         self.run.take(other.run)
         self._budget, self._measured = deepcopy(other._budget), other._measured
-        self._passage, self._lenient_from = other._passage, other._lenient_from
+        self._passage = other._passage
 
     def begin_at(self, state: State) -> None:
         """Go to a single state of this mechanism, after a reset; AssemblyError."""
@@ -445,53 +442,23 @@ class Stepping:
         self.run.set_guard_limits(
             self._guard_limits(self.method, self.stiffness), self._windings())
 
-    def choose_equations(self, status: int) -> bool:
+    def choose_equations(self, wanted: Any) -> bool:
         """
-        Choose the equations that the elimination works on again, after a step that failed.
+        Choose the equations that the elimination works on again, where a run asks for that.
 
-        Returns whether to go on from the present state; not where no equations are left out, so
-        that the step failed for another reason, by its status of ``integration.advance``.
+        Those that repeat others are left out, where all were taken; others are taken after a step
+        that failed, as ``LoopModel.next_choice`` has them. Returns whether to go on.
         """
-        if (not self.data.has_redundant_constraints or self.method.stabilisation not in CLOSING
-                or status == CONTACT_PASSED):
-            return False
-        whole: Any = self.data.system.whole
-        numbers = whole.numbers
-        opened = status != POOR_EQUATIONS or numbers[OPENED] == 1.0
-        better = BETTER if opened or self.data.exchange_is_cheap else WORTH_LOOPS
-        model = self.data.loop_model.reselected(self._q, better, opened)
-        if model is None:
-            if status == POOR_EQUATIONS and numbers[LENIENT] == 0.0 and not (
-                    opened and not self.data.loop_model.is_valid(self._q)):
-                # Again from the same state: a part of the step was well, and the rest is not.
-                again = self._lenient_from == self._q.tobytes()
-                numbers[LENIENT] = 2.0 if again else 1.0
-                self._lenient_from = self._q.tobytes()
-                return True
-            if opened and self.data.loop_model.contradiction(self._q):
-                return False
-            # An equation left out may be the one that closes the loop.
-            model = self.data.loop_model.select(None)
-        self.data.use_equations(model)
-        return True
-
-    def leave_out_again(self) -> bool:
-        """
-        Leave out equations that repeat others, where all were taken again.
-
-        Returns
-        -------
-        bool
-            Whether some are left out from now on that were not.
-
-        """
-        if self.data.has_redundant_constraints or self.method.stabilisation not in CLOSING:
-            return False
-        model = self.data.loop_model.choose(self._q)
-        if not self.data.has_redundant_constraints:
-            return False
-        self.data.use_equations(model)
-        return True
+        data, chosen = self.data, self.data.loop_model
+        present = chosen.equations.kept
+        if data.has_redundant_constraints:
+            cheap = wanted.nearby or data.exchange_is_cheap
+            model = chosen.next_choice(self._q, wanted, BETTER if cheap else WORTH_LOOPS)
+        else:
+            model = chosen.choose(self._q)
+        if model is not None and not np.array_equal(chosen.equations.kept, present):
+            data.use_equations(model)
+        return model is not None
 
     @property
     def fastest_rate(self) -> float:
@@ -504,20 +471,12 @@ class Stepping:
         if outcome == ENERGY_LOST:
             self._tell(outcome)
 
-    def _choose_or_stop(self, report: Any, exchanged: int) -> None:
-        """Choose other equations after a step that failed, or raise what has ended the run."""
+    def _raise_failure(self, report: Any) -> NoReturn:
+        """Raise what has ended the run."""
         data, status, size = self.data, report.status, report.size
         if status == INTERRUPTED:
             # Another thread was.
             raise KeyboardInterrupt
-        goes_on = False
-        try:
-            goes_on = exchanged <= MOST_EXCHANGES and self.choose_equations(status)
-        finally:
-            if not goes_on:
-                self.run.give_up()
-        if goes_on:
-            return
         beyond = data.motions.advice_on_stopping(
             data.assembler, self._q, data.time, self.step_size)
         if beyond:
@@ -527,12 +486,6 @@ class Stepping:
         # What stopped it may be a cable at its limit, or steps that cannot be stable.
         explain(data)
         self.stiffness.check(self._state, size)
-        if exchanged > MOST_EXCHANGES:
-            raise NumericalError(
-                f'The motion does not go on at t = {data.time:.9g} s, whichever closure equations '
-                f'are left out as repeating others ({MOST_EXCHANGES} choices were tried); the '
-                'last good state is kept. Make lengths and axes of the loops agree to more '
-                'digits, or start elsewhere.')
         stopped, undecided = failure(data, status, size), self._branch_finding()
         raise type(stopped)(' '.join(
             [str(stopped), *(f'Before that, {one}' for one in undecided)]))

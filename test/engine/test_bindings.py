@@ -354,9 +354,10 @@ def test_runs_that_do_not_fit_their_system_are_refused(guarded):
     tau, other = np.zeros(len(guarded.torque_names)), Simulation.from_scene('three_rrr')
     assert run.advance_run(tau, 1) == DONE
     run.take(other.stepping.run)
-    for name in ('find_start', 'rewind', 'whole_length', 'resume_run', 'balance'):
+    for name, *arguments in (('find_start',), ('rewind',), ('whole_length',), ('balance',),
+                             ('resume_run', True)):
         with pytest.raises(ValueError, match='of this system'):
-            getattr(run, name)()
+            getattr(run, name)(*arguments)
     run = Simulation.from_scene('slider_crank_end_stop').stepping.run
     for state in (other.data.integrated, guarded.data.integrated[1:].copy()):
         with pytest.raises(ValueError, match='a state of this system'):

@@ -45,7 +45,6 @@ ENUMS = {
     'law_routine': (function_table, {}),
     'cut_coordinate.Value': (element, {}),
     'profile.cpp: Operation': (expression, {}),
-    'left_out.cpp: PIVOT': (system, {}),
     'manifold.cpp: QUATERNION': (manifold, {}),
     'Outcome': (run, {}),
     'finding': (recorded_run, {'COLUMNS': None}),
@@ -59,14 +58,14 @@ ENUMS = {
 # The engine's alone.
 INNER = {'Length', 'Level', 'Comparison', 'Factors', 'Outputs', 'projection.cpp: Corrector',
          'rosenbrock.cpp: STAGE', 'python_api.hpp: PyGILState_STATE', 'effect.Equation',
-         'nearby', 'scratch', 'independent.cpp: CHOSEN_RATIO', 'Checked', 'contact',
-         'contact.Node', 'contact.Trial', 'contact.Search', 'present'}
+         'nearby', 'scratch', 'independent.cpp: CHOSEN_RATIO', 'left_out', 'Checked',
+         'contact', 'contact.Node', 'contact.Trial', 'contact.Search', 'present'}
 # Constants of the same name.
 CONSTANTS = {
     'batch.hpp': (function_table, ('LANES',)),
     'error_control.hpp': (control, ('MOST_EVALUATIONS',)),
     'switching.cpp': (control, ('FLOOR', 'SHARE', 'CLOSER', 'WINDOW', 'LONGEST_PAUSE')),
-    'run.cpp': (guards, ('ENERGY_WARN', 'ENERGY_ERROR')),
+    'run.cpp': (guards, ('ENERGY_WARN', 'ENERGY_ERROR', 'MOST_EXCHANGES')),
     'elimination.hpp': (elimination, ('POOR_PIVOT',)),
     'elimination.cpp': (elimination, ('SMALL_PIVOT', 'MANY_JOINTS')),
     'refinement.cpp': (refinement, ('REFINEMENTS', 'CONVERGED', 'ROUNDING', 'VERY_MOBILE')),

@@ -188,7 +188,7 @@ def use_kernels(simulation, note):
     call('jump_balance', run, 0.1)
     call('set_time', run, 0.5, 3)
     call('record_loss', run, 1.0, 2.0, 0.0, 0.1)
-    call('choose_more_seldom', run, 100)
+    call('resume_run', run, True)
     call('sample', run, True)
     call('restart', run, True)
     call('take_run', run, run)
@@ -198,9 +198,9 @@ def use_kernels(simulation, note):
     call('write_whole', run, simulation.state)
     call('accuracy_in', run, simulation.state)
     call('take_method', run, run)
-    for name in ('begin', 'add_work', 'balance', 'check_energy', 'record_energy', 'resume_run',
+    for name in ('begin', 'add_work', 'balance', 'check_energy', 'record_energy',
                  'find_start', 'rewind', 'whole_length', 'time', 'base', 'steps', 'run_report',
-                 'give_up', 'clear_cost', 'jump', 'restart_guards'):
+                 'clear_cost', 'jump', 'restart_guards'):
         call(name, run)
     call('write_kept', run, False, simulation.state)
     call('set_guard_limits', run, simulation.stepping.run.guard_limits,

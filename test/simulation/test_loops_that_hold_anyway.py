@@ -4,13 +4,9 @@
 """Loops whose equations all hold anyway, on the ground and carried: closed forms, known counts."""
 
 import math
-from types import SimpleNamespace
 
 from closedloop_dynamics.cli import main
 from closedloop_dynamics.core.ranks import rank_of
-from closedloop_dynamics.integration.control import POOR_EQUATIONS
-from closedloop_dynamics.integration.run import FAILED
-from closedloop_dynamics.simulation.errors import NumericalError
 from closedloop_dynamics.simulation.scene import load_scene
 from closedloop_dynamics.simulation.simulation import Simulation
 import numpy as np
@@ -191,24 +187,6 @@ def test_what_is_fixed_stays():
     one.step(duration=0.1)
     assert one.data.degrees_of_freedom() == 0
     assert one.time == pytest.approx(0.1)
-
-
-def test_equations_are_exchanged_so_often_and_no_more(monkeypatch):
-    one = Simulation(sled(-0.5, 0.4, integrator='rk4', step_size=1e-3))
-    run, tried = one.stepping.run, []
-    report = SimpleNamespace(**{**vars(run.report), 'status': POOR_EQUATIONS})
-
-    def choose(status):
-        tried.append(status)
-        return True
-
-    for name in ('make_steps', 'advance_run', 'resume_run'):
-        monkeypatch.setattr(run, name, lambda *_: FAILED)
-    monkeypatch.setattr(type(run), 'report', report)
-    monkeypatch.setattr(one.stepping, 'choose_equations', choose)
-    with pytest.raises(NumericalError, match='does not go on at t = 0 s, whichever'):
-        one.step(duration=0.1)
-    assert 10 < len(tried) < 100
 
 
 def test_ranks_are_decided_against_what_is_no_rounding():

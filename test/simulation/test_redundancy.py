@@ -5,17 +5,18 @@
 
 from dataclasses import replace
 from itertools import count, cycle
+from types import SimpleNamespace
 
 from closedloop_dynamics.cli import main
 from closedloop_dynamics.core.codegen.routines import operations
 from closedloop_dynamics.core.types import RANK_REVEALING_COUNT
 from closedloop_dynamics.effects.gravity import Gravity
 from closedloop_dynamics.effects.joint_friction import JointFriction
-from closedloop_dynamics.integration.control import POOR_EQUATIONS
 from closedloop_dynamics.mechanism.mechanism import Body, CutJoint, Joint, Mechanism
 from closedloop_dynamics.mechanism.reader import with_cuts
 from closedloop_dynamics.simulation import loop_model
 from closedloop_dynamics.simulation.assembly import Assembler
+from closedloop_dynamics.simulation.errors import NumericalError
 from closedloop_dynamics.simulation.geometry import Geometry
 from closedloop_dynamics.simulation.redundancy import (
     ANY_LENGTHS, find_redundancy, THESE_LENGTHS)
@@ -251,12 +252,54 @@ def test_no_equations_are_chosen_twice_where_no_step_was_made(monkeypatch):
     # Two choices, each better than the other.
     monkeypatch.setattr(loop_model, 'independent', lambda *_: (next(choices), 0.0))
     monkeypatch.setattr(loop_model, 'distinctness', lambda *_: 10.0 ** -next(marks))
-    tries = 0
-    while simulation.stepping.choose_equations(POOR_EQUATIONS):
-        tries += 1
-        assert tries < 10
     # The other choice, the present one leniently, and all equations.
-    assert tries == 3 and not simulation.data.has_redundant_constraints
+    for or_these, kept in ((True, np.roll(first, 1)), (True, np.roll(first, 1)), (False, True)):
+        assert simulation.stepping.choose_equations(
+            SimpleNamespace(nearby=False, or_these=or_these))
+        assert (simulation.data.loop_model.equations.kept == kept).all()
+    assert simulation.data.exchanges == 2 and not simulation.data.has_redundant_constraints
+
+
+def refused(monkeypatch, choose):
+    """Return a simulation whose steps are refused, and what is wanted of other equations."""
+    simulation, asked = Simulation.from_scene('bennett', integrator='rk4', step_size=1e-3), []
+    # The pivot below which other equations are looked for.
+    simulation.data.system.whole.numbers[0] = 2.0
+
+    def choose_equations(report):
+        asked.append((report.nearby, report.or_these))
+        return choose(simulation)
+
+    monkeypatch.setattr(simulation.stepping, 'choose_equations', choose_equations)
+    return simulation, asked
+
+
+def test_where_no_equations_are_better_steps_are_accepted_leniently(monkeypatch):
+    simulation, asked = refused(monkeypatch, lambda _: True)
+    simulation.step(duration=0.01)
+    assert asked == [(False, True)] and simulation.time == pytest.approx(0.01)
+
+
+def test_a_run_without_other_equations_ends_before_the_step(monkeypatch):
+    simulation, asked = refused(monkeypatch, lambda _: False)
+    before = simulation.state
+    with pytest.raises(NumericalError, match='No step at t = 0 s is small enough'):
+        simulation.step(duration=0.01)
+    assert asked == [(False, True)] and simulation.time == 0.0
+    np.testing.assert_array_equal(simulation.state, before)
+
+
+def test_equations_are_exchanged_so_often_and_no_more(monkeypatch):
+    def exchange(simulation):
+        chosen = simulation.data.loop_model
+        simulation.data.use_equations(chosen.select(np.roll(chosen.equations.kept, 1)))
+        simulation.data.system.whole.numbers[0] = 2.0
+        return True
+
+    simulation, asked = refused(monkeypatch, exchange)
+    with pytest.raises(NumericalError, match=r'not go on at t = 0 s, whichever.*\(20 choices'):
+        simulation.step(duration=0.1)
+    assert len(asked) == simulation.data.exchanges == 20
 
 
 def closed_here(mechanism, q):
