@@ -1,7 +1,7 @@
 # SPDX-FileCopyrightText: 2026 The closedloop_dynamics authors
 # SPDX-License-Identifier: Apache-2.0
 
-"""MJCF: the same accelerations and closures as MuJoCo has them, and what is refused."""
+"""MJCF: the same closures as MuJoCo has them, and what is refused."""
 
 from closedloop_dynamics.formats.building import lines
 from closedloop_dynamics.formats.mjcf_omissions import FIELDS
@@ -122,53 +122,6 @@ def state(compiled, imported, rng):
     return data, q, qd
 
 
-def accelerations(imported, q, qd):
-    """Return our accelerations under gravity and what acts in joints, by dense matrices."""
-    coordinates, effects = imported.mechanism.coordinates, imported.effects
-    gravity = effects.get('gravity', {'acceleration': (0.0, 0.0, 0.0)})['acceleration']
-    numbers = Numbers(build_model(imported.mechanism, gravity))
-    numbers.move(q, qd)
-    inertia, force = numbers.inertia(), -numbers.bias_force()
-    loops = ClosureProblem(imported.mechanism, 1.0)
-    for effect in effects.values():
-        place = coordinates.index.get(effect.get('joint'))
-        if effect['type'] == 'rotor':
-            inertia[place, place] += effect['inertia'] * effect['gear_ratio'] ** 2
-        elif effect['type'] == 'joint_damping':
-            force[place] -= effect['coefficient'] * qd[place]
-        elif effect['type'] == 'joint_spring':
-            force[place] -= effect['stiffness'] * (
-                q[coordinates.place[place]] - effect.get('rest', 0.0))
-        elif effect['type'] == 'external_force':
-            force += effect['force'] @ slopes(loops, effect['point'], q)
-        elif effect['type'] == 'point_spring':
-            ends = [(place_of(loops, effect[key], q), slopes(loops, effect[key], q))
-                    for key in ('point_a', 'point_b')]
-            line, slope = ends[1][0] - ends[0][0], ends[1][1] - ends[0][1]
-            length = np.linalg.norm(line)
-            slope = line @ slope / length
-            force -= slope * (effect['stiffness'] * (length - effect['free_length'])
-                              + effect['damping'] * (slope @ qd))
-        else:
-            assert effect['type'] == 'gravity'
-    return np.linalg.solve(inertia, force)
-
-
-def place_of(loops, name, q):
-    """Return where a point is, shape (3,)."""
-    point = next(one for one in loops.mechanism.points if one.name == name)
-    frames, origins = loops.frames(q)
-    return origins[point.body] + frames[point.body] @ point.position
-
-
-def slopes(loops, name, q):
-    """Return how the place of a point changes with each freedom, shape (3, nv)."""
-    steps = 1e-5 * np.eye(loops.nv)
-    return np.column_stack([
-        (place_of(loops, name, loops.moved(q, step))
-         - place_of(loops, name, loops.moved(q, -step))) / 2e-5 for step in steps])
-
-
 def of_mujoco(compiled, data, imported):
     """Return MuJoCo's accelerations in the order of our freedoms."""
     found = np.empty(compiled.nv)
@@ -180,48 +133,6 @@ def of_mujoco(compiled, data, imported):
 
 
 BALL = '<joint name="ball" type="ball" pos="0.01 0 0"'
-MOTOR = '<motor joint="hinge" gear="3"'
-VARIANTS = {
-    'as it is': [],
-    'weights compensated': [('<body name="hand"', '<body gravcomp="1" name="hand"'), (
-        '<body name="plate"', '<body gravcomp="0.5" name="plate"')],
-    'dampers of balls and what floats': [
-        (BALL, f'{BALL} damping="0.7"'),
-        ('<freejoint name="drift"/>', '<joint type="free" name="drift" damping="0.4"/>')],
-    'actuators': [(MOTOR, f'{MOTOR} damping="0.3" armature="0.02"')],
-    'springs between two sites': [
-        ('<joint name="ball"', '<site name="tip" pos="0 0.2 0.1"/><joint name="ball"'),
-        ('<light pos="0 0 1"/>', '<site name="hook" pos="0.5 0 2"/>'),
-        ('<actuator>', '<tendon><spatial name="cord" stiffness="40" damping="3" '
-                       'springlength="0.3"><site site="hook"/><site site="tip"/></spatial>'
-                       '</tendon><actuator>')],
-    'no gravity': [('contact=', 'gravity="disable" contact=')],
-    'no springs': [('contact=', 'spring="disable" contact=')],
-    'no dampers': [(MOTOR, f'{MOTOR} damping="0.3"'), (BALL, f'{BALL} damping="0.7"'),
-                   ('contact=', 'damper="disable" contact=')]}
-
-
-# Forces at points, whose levers the twin finds by differences.
-BY_DIFFERENCES = ('weights compensated', 'springs between two sites')
-
-
-@pytest.mark.parametrize('variant', VARIANTS)
-def test_accelerations_are_those_of_mujoco(tmp_path, variant):
-    text = TREE
-    for old, new in VARIANTS[variant]:
-        assert old in text
-        text = text.replace(old, new)
-    compiled = compiled_or_skipped(text)
-    imported, rng = read_model(written(tmp_path, text)), np.random.default_rng(0)
-    assert not imported.omitted
-    for _ in range(3):
-        data, q, qd = state(compiled, imported, rng)
-        theirs = of_mujoco(compiled, data, imported)
-        few = 1e-9 * np.abs(theirs).max() if variant in BY_DIFFERENCES else 1e-10
-        np.testing.assert_allclose(
-            accelerations(imported, q, qd), theirs, rtol=1e-10, atol=few)
-
-
 # A file with much that is left out, or read by special ways.
 FULL = TREE.replace('<actuator>', """
   <tendon><fixed name="belt" stiffness="30" damping="0.5" frictionloss="2" limited="true"

@@ -1,7 +1,7 @@
 # SPDX-FileCopyrightText: 2026 The closedloop_dynamics authors
 # SPDX-License-Identifier: Apache-2.0
 
-"""Forces of MJCF that no drive and no constraint makes: those of MuJoCo, by the engine itself."""
+"""Accelerations of MJCF under all that acts in it: those of MuJoCo, by the engine itself."""
 
 from closedloop_dynamics.formats.registry import read_model
 from closedloop_dynamics.simulation.scene import load_scene
@@ -9,7 +9,7 @@ from closedloop_dynamics.simulation.simulation import Simulation
 import numpy as np
 import pytest
 
-from .test_mjcf import compiled_or_skipped, of_mujoco, state, TREE, written
+from .test_mjcf import BALL, compiled_or_skipped, of_mujoco, state, TREE, written
 
 mujoco = pytest.importorskip('mujoco')
 
@@ -20,7 +20,21 @@ CORD = ('<tendon><spatial name="cord" {}><site site="hook"/>{}<site site="tip"/>
 SITES = [('<joint name="ball"', '<site name="tip" pos="0 0.2 0.1"/><joint name="ball"'),
          ('<light pos="0 0 1"/>', '<site name="hook" pos="0.5 0 2"/>'
                                   '<site name="guide" pos="0.1 0.2 1.6"/>')]
+MOTOR = '<motor joint="hinge" gear="3"'
 VARIANTS = {
+    'as it is': [],
+    'weights compensated': [('<body name="hand"', '<body gravcomp="1" name="hand"'), (
+        '<body name="plate"', '<body gravcomp="0.5" name="plate"')],
+    'dampers of balls and what floats': [
+        (BALL, f'{BALL} damping="0.7"'),
+        ('<freejoint name="drift"/>', '<joint type="free" name="drift" damping="0.4"/>')],
+    'actuators': [(MOTOR, f'{MOTOR} damping="0.3" armature="0.02"')],
+    'a spring between sites': [*SITES, ('<actuator>', CORD.format(
+        'stiffness="40" damping="3" springlength="0.3"', ''))],
+    'no gravity': [('contact=', 'gravity="disable" contact=')],
+    'no springs': [('contact=', 'spring="disable" contact=')],
+    'no dampers': [(MOTOR, f'{MOTOR} damping="0.3"'), (BALL, f'{BALL} damping="0.7"'),
+                   ('contact=', 'damper="disable" contact=')],
     'a tendon of joints': [('<actuator>', BELT.format(
         'stiffness="30" damping="2" springlength="0.1"'))],
     'one with play': [('<actuator>', BELT.format('stiffness="30" springlength="-0.05 0.1"'))],
@@ -97,11 +111,7 @@ def test_friction_along_a_tendon_is_that_of_mujoco_made_hard(tmp_path, size):
         if rest:
             data.qvel[:], qd[:] = 0.0, 0.0
         mujoco.mj_forward(compiled, data)
-        theirs = np.empty(compiled.nv)
-        for number in range(compiled.njnt):
-            rates = imported.mechanism.coordinates.rates[compiled.joint(number).name]
-            dof = compiled.jnt_dofadr[number]
-            theirs[rates] = data.qacc[dof:dof + rates.stop - rates.start]
+        theirs = of_mujoco(compiled, data, imported)
         ours = simulation.forward_dynamics(q, qd)[0]
         sticks = rest and size > 1.0
         # MuJoCo's gives way by one part in ten thousand.
