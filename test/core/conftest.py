@@ -19,3 +19,10 @@ def drawn(request):
 def engine(drawn):
     """Return a fresh Engine of the case."""
     return Engine(drawn[1])
+
+
+@pytest.fixture(scope='module', params=[*cases.PARAMETERS, *cases.IN_SPACE], ids=str)
+def anywhere(request):
+    """Return (rng, engine, q, qd) of each case in the plane and in space, the state closed."""
+    rng, mechanism, q, qd = cases.drawn(request.param, seed=3)
+    return rng, Engine(mechanism), q, qd

@@ -1,7 +1,11 @@
 # SPDX-FileCopyrightText: 2026 The closedloop_dynamics authors
 # SPDX-License-Identifier: Apache-2.0
 
-"""The compiled kernels on one mechanism, called one by one; what they write is copied out."""
+"""
+The compiled kernels on one mechanism, called one by one; what they write is copied out.
+
+In the plane and in space alike, each with the twin that it is compared with.
+"""
 
 from closedloop_dynamics.core.types import ALPHA, NO_RESPONSES, OMEGA, PX, PY, REDUCED, VX, VY
 from closedloop_dynamics.engine import native
@@ -10,7 +14,73 @@ from closedloop_dynamics.mechanism.decomposition import decompose
 from closedloop_dynamics.simulation.modeling import mechanism_arrays
 import numpy as np
 
-from ..reference.dense import EARTH
+from ..reference import dense
+from ..reference.numbers import Numbers
+from ..reference.spatial_machines import GRAVITY
+
+
+class PlanarTwin:
+    """What a mechanism in the plane does, by body Jacobians and Lagrange's equations."""
+
+    def __init__(self, mechanism, model, gravity):
+        self._mechanism, self._gravity = mechanism, gravity
+
+    def closure(self, q, qd):
+        """Return psi, J qd, Jdot qd."""
+        return (dense.closure(self._mechanism, q), self.jacobian(q) @ qd,
+                dense.constraint_bias(self._mechanism, q, qd))
+
+    def jacobian(self, q):
+        """Return the constraint Jacobian."""
+        return dense.closure_jacobian(self._mechanism, q)
+
+    def generalized_inertia_matrix(self, q):
+        """Return the generalized inertia matrix."""
+        return dense.generalized_inertia_matrix(self._mechanism, q)
+
+    def bias_force(self, q, qd):
+        """Return velocity products and gravity in the joints."""
+        return dense.bias_force(self._mechanism, q, qd, self._gravity)
+
+    def energies(self, q, qd):
+        """Return (kinetic, potential) energy."""
+        return (dense.kinetic_energy(self._mechanism, q, qd),
+                dense.potential_energy(self._mechanism, q, self._gravity))
+
+
+class SpatialTwin:
+    """The same of a mechanism in space, by its recursions on numbers."""
+
+    def __init__(self, mechanism, model, gravity):
+        self._numbers = Numbers(model)
+
+    def _at(self, q, qd=None):
+        self._numbers.move(q, qd)
+        return self._numbers
+
+    def closure(self, q, qd):
+        """Return psi, J qd, Jdot qd."""
+        return self._at(q, qd).closures()
+
+    def jacobian(self, q):
+        """Return the constraint Jacobian."""
+        return self._at(q).jacobian()
+
+    def generalized_inertia_matrix(self, q):
+        """Return the generalized inertia matrix."""
+        return self._at(q).inertia()
+
+    def bias_force(self, q, qd):
+        """Return velocity products and gravity in the joints."""
+        return self._at(q, qd).bias_force()
+
+    def energies(self, q, qd):
+        """Return (kinetic, potential) energy."""
+        return self._at(q, qd).energies()
+
+    def forward_dynamics(self, q, qd, tau):
+        """Return (qdd, lam)."""
+        return self._at(q, qd).accelerations(tau, 0.0)[:2]
 
 
 class Engine:
@@ -20,22 +90,29 @@ class Engine:
     Parameters
     ----------
     mechanism : Mechanism
-    gravity : sequence of 2 floats
-        [m/s^2].
+    gravity : sequence of 2 or 3 floats, optional
+        [m/s^2]; along -y, in space along -z when not given.
     baumgarte : float
         Decay rate [1/s].
     unrolled : bool, optional
-        As for ``build_system``.
+        As for ``build_system``; in space, where code takes seconds to compile, False.
 
     """
 
-    def __init__(self, mechanism, gravity=EARTH, baumgarte=0.0, unrolled=None):
-        self.decomposition = decompose(mechanism)
-        self.model, placements, _ = mechanism_arrays(mechanism, gravity, self.decomposition)
+    def __init__(self, mechanism, gravity=None, baumgarte=0.0, unrolled=None):
+        planar = mechanism.planar
+        if gravity is None:
+            gravity = dense.EARTH if planar else GRAVITY
+        self.decomposition = decompose(mechanism) if planar else None
+        self.model, placements, _ = mechanism_arrays(
+            mechanism, gravity, self.decomposition)
         self.body_row = {name: one.row for name, one in placements.items()}
-        self.system = build_system(self.model, baumgarte, unrolled=unrolled)
+        self.system = build_system(
+            self.model, baumgarte, unrolled=unrolled if planar else bool(unrolled))
         self.work = self.system.work
-        self.nv, self.nc = len(mechanism.joints), mechanism.number_of_equations
+        self.moved = mechanism.coordinates.moved
+        self.nv, self.nc = len(self.model.tree) - 1, len(self.model.column) - 1
+        self.twin = (PlanarTwin if planar else SpatialTwin)(mechanism, self.model, gravity)
 
     def forward_dynamics(self, q, qd, tau):
         """Return (qdd, lam)."""

@@ -8,25 +8,26 @@ import pytest
 
 from .engine import Engine
 from .spatial_engine import loop_equations
-from ..reference import appendix, cases, dense
+from ..reference import appendix, cases
 from ..reference.compare import assert_agree, IDENTITY
 from ..reference.test_appendix import PAPER
 
 
-def test_constraint_jacobian_is_the_derivative_of_the_closure(drawn, engine):
-    rng, mechanism, q, _ = drawn
+def test_constraint_jacobian_is_the_derivative_of_the_closure(anywhere):
+    rng, engine, q, qd = anywhere
     # Off the closed state too, where a slot's axis passes beside the point.
-    for place in (q, q + rng.normal(size=len(q))):
-        assert_agree(engine.jacobian(place), dense.closure_jacobian(mechanism, place), IDENTITY)
+    for place in (q, engine.moved(q, rng.normal(size=len(qd)))):
+        assert_agree(engine.jacobian(place), engine.twin.jacobian(place), IDENTITY)
 
 
-def test_routine_of_the_loop_equations_equals_the_twin(drawn, engine):
-    rng, mechanism, q, _ = drawn
-    place, rates = q + rng.normal(size=len(q)), rng.normal(size=len(q))
+def test_routine_of_the_loop_equations_equals_the_twin(anywhere):
+    rng, engine, q, qd = anywhere
+    place, rates = engine.moved(q, rng.normal(size=len(qd))), rng.normal(size=len(qd))
     closure, bias, jac = loop_equations(engine.model, place, rates)
-    assert_agree(closure, dense.closure(mechanism, place), IDENTITY, smallest=1.0)
-    assert_agree(bias, dense.constraint_bias(mechanism, place, rates), IDENTITY, smallest=1.0)
-    assert_agree(jac, dense.closure_jacobian(mechanism, place), IDENTITY)
+    expected, _, accelerating = engine.twin.closure(place, rates)
+    assert_agree(closure, expected, IDENTITY, smallest=1.0)
+    assert_agree(bias, accelerating, IDENTITY, smallest=1.0)
+    assert_agree(jac, engine.twin.jacobian(place), IDENTITY)
 
 
 @pytest.mark.parametrize('name', PAPER)
@@ -46,15 +47,15 @@ def test_constraint_jacobian_equals_the_corrected_appendix(name):
         assert not jac[touched == 0.0].any()
 
 
-def test_gim_equals_the_twin(drawn, engine):
-    _, mechanism, q, _ = drawn
-    assert_agree(engine.generalized_inertia_matrix(q),
-                 dense.generalized_inertia_matrix(mechanism, q), IDENTITY)
+def test_gim_equals_the_twin(anywhere):
+    _, engine, q, _ = anywhere
+    assert_agree(engine.generalized_inertia_matrix(q), engine.twin.generalized_inertia_matrix(q),
+                 IDENTITY)
 
 
-def test_gim_equals_kinetic_energy_hessian(drawn, engine):
-    _, _, q, _ = drawn
-    units = np.eye(len(q))
+def test_gim_equals_kinetic_energy_hessian(anywhere):
+    _, engine, q, qd = anywhere
+    units = np.eye(len(qd))
     alone = np.array([engine.energies(q, e)[0] for e in units])
     # The energy is quadratic in the rates: these differences are the Hessian, not an estimate.
     hessian = np.array([[engine.energies(q, e + f)[0] for f in units] for e in units])

@@ -5,12 +5,14 @@
 
 from dataclasses import replace
 
+from closedloop_dynamics.core.types import BODY_A, CUT_NUMBER
 from closedloop_dynamics.effects.external_force import ExternalForce
 from closedloop_dynamics.effects.gravity import Gravity
 from closedloop_dynamics.effects.joint_damping import JointDamping
 from closedloop_dynamics.effects.joint_spring import JointSpring
 from closedloop_dynamics.effects.point_spring import PointSpring
 from closedloop_dynamics.effects.rotor import Rotor
+from closedloop_dynamics.engine import native
 from closedloop_dynamics.mechanism.mechanism import (
     Body, CutJoint, GROUND, Joint, Mechanism, Point, REVOLUTE)
 from closedloop_dynamics.simulation.errors import SimulationError
@@ -19,8 +21,11 @@ from closedloop_dynamics.simulation.simulation import Simulation
 import numpy as np
 import pytest
 
+from .engine import Engine
 from ..reference import cases
+from ..reference.compare import assert_agree, IDENTITY
 from ..reference.linkages import random_linkage, random_vector
+from ..reference.numbers import equations, Numbers
 from ..reference.trees import (
     body_frames, derivative, placed, point_jacobian, turned, unit)
 
@@ -189,3 +194,33 @@ def test_forces_are_the_same_whichever_joint_is_cut():
 def test_a_joint_that_does_not_exist_is_named():
     with pytest.raises(SimulationError, match="no joint 'elbow'.*crank_joint.*rocker"):
         Simulation.from_scene('four_bar').force('elbow')
+
+
+@pytest.mark.parametrize('case', cases.MACHINES_IN_SPACE)
+def test_wrenches_in_space_are_those_of_the_recursions_on_numbers(case):
+    rng, mechanism, q, qd = cases.drawn(case)
+    engine = Engine(mechanism)
+    model, work, numbers = engine.model, engine.work, Numbers(engine.model)
+    # Loops opened, so that nothing is zero.
+    q = engine.moved(q, 0.3 * rng.normal(size=engine.nv))
+    numbers.move(q, qd)
+    recursion, lam = numbers.recursion, rng.normal(size=engine.nc)
+    qdd = rng.normal(size=engine.nv)
+    torque = engine.tree_torque(q, qd, qdd)
+    found, expected = np.empty((len(model.cut), 6)), np.zeros((len(model.cut), 6))
+    native.cut_wrenches(model, work.body, lam, work.share, found)
+    for place, a, equation in equations(recursion, model):
+        expected[model.cut[a, CUT_NUMBER]] += lam[place] * np.array(equation.on_a)
+    for cut, point in zip(model.cut, model.cut_point):
+        # From the origin of body A to the cut point.
+        lever = np.array(recursion.motion[cut[BODY_A]].frame) @ point[:3]
+        wrench = expected[cut[CUT_NUMBER]]
+        wrench[:3] -= np.cross(lever, wrench[3:])
+    assert_agree(found, expected, IDENTITY)
+    # In its own direction, a joint hands over what drives it: the torque less the cut forces'.
+    wrench, shares = np.zeros((len(model.tree), 12)), np.zeros(engine.nv)
+    native.bias_forces(work, wrench)
+    native.joint_wrenches(model, work, qdd, lam, wrench)
+    for i in range(1, len(model.tree)):
+        shares[model.tree[i, 1]] = np.dot(recursion.motion[i].axis, wrench[i, :6])
+    assert_agree(numbers._own_axes(shares), torque - numbers.jacobian().T @ lam, IDENTITY)

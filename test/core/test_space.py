@@ -156,22 +156,6 @@ def test_parts_of_an_evaluation_and_refinement_agree_with_dense_matrices(seed, l
         assert np.abs(numbers.closures()[1]).max() < 1e-12 * np.abs(rates).max() * 100.0
 
 
-@pytest.mark.parametrize('seed', cases.first(3, range(5)))
-def test_energies_change_by_the_power_of_the_joints(seed):
-    rng = np.random.default_rng(seed)
-    # Coordinates of others are no integrals of the rates.
-    mechanism, q, qd = spatial_linkages.random_mechanism(rng, ('spherical', 'free', 'fixed'))
-    engine = SpatialEngine(mechanism)
-    tau = rng.normal(size=engine.nv)
-    qdd, _, _ = engine.forward_dynamics(q, qd, tau)
-    numbers, energies = Numbers(engine.model), []
-    for step in (-1e-5, 1e-5):
-        numbers.move(q + step * qd + 0.5 * step ** 2 * qdd, qd + step * qdd)
-        energies.append(sum(numbers.energies()))
-    # Central differences.
-    assert_agree((energies[1] - energies[0]) / 2e-5, tau @ qd, 1e-7, smallest=1.0)
-
-
 def test_bricard_has_one_equation_too_many():
     mechanism, _ = spatial_machines.bricard()
     engine = SpatialEngine(mechanism)

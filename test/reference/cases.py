@@ -4,8 +4,8 @@
 """
 The cases that every test of the dynamics goes through, each with a random closed state.
 
-The shipped mechanisms by their names, linkages of a regular shape by theirs,
-random linkages by number.
+The shipped mechanisms by their names, linkages of a regular shape by theirs, random linkages by
+number; in space machines and random mechanisms with joints of all types.
 """
 
 import copy
@@ -15,7 +15,7 @@ from closedloop_dynamics.simulation.scene import load_scene
 import numpy as np
 import pytest
 
-from . import linkages, special, states
+from . import linkages, spatial_linkages, spatial_machines, special, states
 
 SHIPPED = ('carpet_scraper', 'four_bar', 'hoeken_pantograph_leg', 'slider_crank', 'three_rrr')
 SPECIAL = {'ladder': lambda rng: special.ladder(4, rng.uniform(-1.0, 1.0), rng.normal()),
@@ -27,6 +27,8 @@ RANDOM = range(20)
 # Rods, pins in slots, couplings.
 ELEMENTS = tuple(f'elements_{n}' for n in range(8))
 ALL = (*SHIPPED, *SPECIAL, *RANDOM, *ELEMENTS)
+MACHINES_IN_SPACE = ('rssr_four_bar', 'stewart_platform', 'delta_robot')
+RANDOM_IN_SPACE = tuple(f'space_{n}' for n in range(6))
 
 
 def first(number, values):
@@ -50,6 +52,7 @@ CLASSES = ('four_bar', 'three_rrr', 'carpet_scraper_on_carpet', 'slider_crank_en
 SOME = ('carpet_scraper', 'slider_crank', 'three_rrr')
 # One random linkage of each number of subsystems, and some with elements; --all takes the others.
 PARAMETERS = (*only(SOME, SHIPPED), *SPECIAL, *first(4, RANDOM), *first(2, ELEMENTS))
+IN_SPACE = (*MACHINES_IN_SPACE, *first(3, RANDOM_IN_SPACE))
 
 
 def drawn(case, seed=0):
@@ -59,7 +62,7 @@ def drawn(case, seed=0):
     Parameters
     ----------
     case : str or int
-        Of ``ALL``.
+        Of ``ALL`` or ``IN_SPACE``.
     seed : int
         Another seed draws another state, and another random linkage.
 
@@ -68,7 +71,7 @@ def drawn(case, seed=0):
     rng : numpy.random.Generator
         To draw more from.
     mechanism : Mechanism
-    q, qd : ndarray, shape (nv,)
+    q, qd : ndarray, shape (nq,), (nv,)
         A state that closes the loops.
 
     """
@@ -79,7 +82,11 @@ def drawn(case, seed=0):
 @functools.cache
 def _drawn(case, seed):
     """Return the same once and for all: many tests draw the same, some by many attempts."""
-    rng = np.random.default_rng([ALL.index(case), seed])
+    rng = np.random.default_rng([(*ALL, *MACHINES_IN_SPACE, *RANDOM_IN_SPACE).index(case), seed])
+    if case in RANDOM_IN_SPACE:
+        return (rng, *spatial_linkages.random_mechanism(rng))
+    if case in MACHINES_IN_SPACE:
+        return (rng, *spatial_machines.in_motion(getattr(spatial_machines, case)()[0], rng))
     if case in SHIPPED:
         scene = load_scene(case)
         return (rng, scene.mechanism,

@@ -8,7 +8,10 @@ from dataclasses import replace
 from closedloop_dynamics.mechanism.config import shipped_path
 from closedloop_dynamics.mechanism.mechanism import Body, CutJoint, Joint, Mechanism
 from closedloop_dynamics.mechanism.reader import read_mechanism, with_cuts
+from closedloop_dynamics.simulation.modeling import build_model
 import numpy as np
+
+from .numbers import Numbers
 
 GRAVITY = (0.0, 0.0, -9.81)
 
@@ -152,3 +155,17 @@ def with_single_freedoms(mechanism):
                                 parent, child, place, axis=axis))
             parent, place = child, (0.0, 0.0, 0.0)
     return replace(mechanism, bodies=tuple(bodies), joints=tuple(joints))
+
+
+def in_motion(mechanism, rng):
+    """Return a mechanism in a state near its start that closes the loops, (mechanism, q, qd)."""
+    numbers, coordinates = Numbers(build_model(mechanism)), mechanism.coordinates
+    q = coordinates.moved(coordinates.start(), 0.2 * rng.normal(size=coordinates.nv))
+    for _ in range(20):
+        numbers.move(q)
+        q = coordinates.moved(q, -np.linalg.pinv(numbers.jacobian()) @ numbers.closures()[0])
+    numbers.move(q)
+    qd, jac = rng.normal(size=coordinates.nv), numbers.jacobian()
+    for _ in range(2):
+        qd = qd - np.linalg.pinv(jac) @ (jac @ qd)
+    return mechanism, q, qd

@@ -100,25 +100,6 @@ def test_forces_in_joints_are_those_of_maximal_coordinates(seed):
                  [expected.wrenches[cut.name] for cut in mechanism.cut_joints], 1e-8)
 
 
-@pytest.mark.parametrize('seed', cases.first(2, range(6)))
-def test_what_the_loops_over_bodies_give_is_what_the_recursions_give_on_numbers(seed):
-    rng = np.random.default_rng(50 + seed)
-    mechanism, q, qd = spatial_linkages.random_mechanism(rng)
-    engine = SpatialEngine(mechanism)
-    numbers = Numbers(engine.model)
-    # Open loops: nothing is zero.
-    opened = qd + rng.normal(size=len(qd))
-    numbers.move(q, opened)
-    equations = at(engine.model, q, opened)
-    assert_agree(equations.energies(), numbers.energies(), 1e-12)
-    assert_agree(equations.closures(), numbers.closures(), 1e-12)
-    assert_agree(equations.jacobian(), numbers.jacobian(), 1e-12)
-    assert_agree(equations.inertia(), numbers.inertia(), 1e-12)
-    force = np.zeros(engine.nv)
-    native.tree_torque(equations.model, equations.work, np.zeros(engine.nv), force)
-    assert_agree(force, numbers.bias_force(), 1e-12)
-
-
 @pytest.fixture(scope='module')
 def linkage():
     """Return an RSSR four-bar in motion under effects, and its torque."""
