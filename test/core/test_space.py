@@ -21,41 +21,6 @@ from ..reference import cases, spatial_linkages, spatial_machines, spatial_maxim
 from ..reference.compare import assert_agree, IDENTITY
 from ..reference.numbers import Numbers
 
-# Of the body's frame: angular acceleration, then that of the centre of mass. References are
-# maximal coordinates with quaternions, to twelve digits.
-START = {
-    'stewart_platform': ('platform', (0.916001846266, -1.58656173756, 1.422003749095),
-                         (-0.133940827051, -0.077330772553, 0.111880085879)),
-    'delta_robot': ('platform', (0.0, 0.0, 0.0),
-                    (-1.904887309353, -1.099787200831, -11.852912650886)),
-    'rssr_four_bar': ('rocker', (-0.51208193311, 0.0, 0.0),
-                      (0.0, 0.15 * 0.51208193311, 0.0)),
-}
-
-
-@pytest.mark.parametrize('name', START)
-def test_machines_start_as_they_should(name):
-    mechanism, forces = getattr(spatial_machines, name)()
-    engine = SpatialEngine(mechanism)
-    q, qd = engine.at_zero(), np.zeros(engine.nv)
-    qdd, _, good = engine.forward_dynamics(q, qd, engine.efforts(forces))
-    assert good
-    name, turning, moving = START[name]
-    acceleration = engine.accelerations(q, qd, qdd)[name]
-    center = next(body.center_of_mass for body in mechanism.bodies if body.name == name)
-    assert_agree(acceleration[:3], turning, 1e-11, smallest=1.0)
-    assert_agree(acceleration[3:] + np.cross(acceleration[:3], center), moving, 1e-11)
-
-
-def test_compiled_code_starts_as_it_should():
-    mechanism, forces = spatial_machines.rssr_four_bar()
-    engine = SpatialEngine(mechanism, compiled=True)
-    q, qd = engine.at_zero(), np.zeros(engine.nv)
-    qdd, _, good = engine.forward_dynamics(q, qd, engine.efforts(forces))
-    assert good
-    assert_agree(qdd[1], -0.51208193311, 1e-11)
-
-
 # All types of joints and cut joints are among the first.
 @pytest.mark.parametrize('seed', cases.first(3, range(100)))
 def test_random_mechanisms_move_as_in_maximal_coordinates(seed):

@@ -153,18 +153,6 @@ def test_delta_robot_starts_and_moves_as_known():
     assert_agree(one.energy - start, 0.690703490, 1e-8)
 
 
-def test_rssr_four_bar_moves_as_known():
-    one = known('rssr_four_bar')
-    start = one.energy
-    one.step({'crank': 0.02}, 0.5)
-    assert_agree(one.point('rocker_center'), (0.4, 0.313911207995, 0.149353534582), 1e-9)
-    one.step({'crank': 0.02}, 0.5)
-    assert_agree(one.point('rocker_center'), (0.4, 0.269707605674, 0.146909396725), 1e-9)
-    assert_agree(one.position[0], 1.622930658, 1e-9)
-    assert_agree(one.velocity[1], 1.655614798758, 1e-9)
-    assert_agree(one.energy - start, 0.032458613162, 1e-9)
-
-
 def test_bennetts_linkage_keeps_its_law():
     one = Simulation(load_scene('bennett'))
     alpha, beta = (one.mechanism.parameters[key] for key in ('alpha', 'beta'))
