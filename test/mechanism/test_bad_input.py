@@ -49,6 +49,38 @@ CASES = {
     'products beyond the moments': (
         'inertia: [7.6e-3, 7.6e-3, 1.1e-4]', 'inertia: [7.6e-3, 7.6e-3, 1.1e-4, 9e-3, 0, 0]',
         'machine.yaml:4: bodies.rocker.inertia: expected moments of inertia that a body can have'),
+    'a vector of the plane': (
+        'center_of_mass: [0.26, 0, 0]', 'center_of_mass: [0.26, 0]',
+        'machine.yaml:6: bodies.rod.center_of_mass: expected a list of 3 finite numbers [x, y, '
+        'z], got [0.26, 0], of length 2'),
+    'a moment of inertia': (
+        'inertia: [4.0e-5, 0.018, 0.018]', 'inertia: 0.018',
+        'machine.yaml:6: bodies.rod.inertia: expected a list of 3'),
+    'no axis': (
+        ',\n                 axis: [1, 0, 0]}', '}',
+        'machine.yaml:10: joints.rocker_joint.axis: expected this key of a revolute joint, got '
+        'none'),
+    'an axis too many': (
+        '{type: spherical, body_a: rod', '{type: spherical, axis_a: [1, 0, 0], body_a: rod',
+        'machine.yaml:15: cut_joints.ball.axis_a: expected no such key of a spherical joint'),
+    'an orientation without a name': (
+        '{quaternion: [0, 0, 0, 1]}', '[0, 0, 0]',
+        'machine.yaml:9: joints.crank_joint.orientation: expected a mapping with rpy'),
+    'an orientation of what leaves it free': (
+        '{type: spherical, body_a: rod', '{type: distance, length: 0.1, orientation: {rpy: [0, 0, '
+        '1]}, body_a: rod', 'machine.yaml:15: cut_joints.ball.orientation: expected no '
+        'orientation of a distance joint'),
+    'an angle of the plane': (
+        'position: [0, 0, 0], axis: [0, 1, 0]', 'position: [0, 0, 0], axis: [0, 1, 0], angle: 0.5',
+        'machine.yaml:13: joints.tilt.angle: expected nothing: only a mechanism in the plane has '
+        'this key'),
+    'a lead': (
+        'position: [0, 0, 0], axis: [0, 1, 0]', 'position: [0, 0, 0], axis: [0, 1, 0], lead: 0.1',
+        'machine.yaml:13: joints.tilt.lead: expected no such key of a revolute joint, but of '
+        'helical'),
+    'an unknown type': (
+        'tilt: {type: revolute', 'tilt: {type: revolut',
+        'machine.yaml:13: joints.tilt.type: expected one of revolute, '),
     'universal axes that are parallel': (
         '{type: revolute, parent: crank, child: link, position: [0.1, 0, 0], axis: [0, 0, 1]',
         '{type: universal, parent: crank, child: link, position: [0.1, 0, 0], '

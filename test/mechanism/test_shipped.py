@@ -4,16 +4,17 @@
 """
 The shipped mechanisms are those of the theory, and their scenes start closed.
 
-The forward kinematics here is plain numpy on the description and shares nothing with
-the package; the cut equations of the scraper, the leg and the 3-RRR are written out by
-hand (psi = p_A - p_B, with the absolute angles alpha_i) and compared with it at random
-coordinates.
+The cut equations of the scraper, the leg and the 3-RRR are written out by hand (psi = p_A - p_B,
+with the absolute angles alpha_i) and compared with the twin's at random coordinates.
 """
 
 from closedloop_dynamics.simulation.scene import load_scene
 import numpy as np
 import pytest
-from scipy.optimize import fsolve
+
+from ..reference.dense import closure
+from ..reference.states import assemble
+from ..reference.trees import body_frames, placed
 
 # Bodies, equations, degrees of freedom, largest closure error of the start as given [m]
 # (the angles of the three_rrr are published ones, see its scene).
@@ -42,55 +43,17 @@ def e(angle):
     return np.array([np.cos(angle), np.sin(angle)])
 
 
-def rotate(angle, vector):
-    return np.array([e(angle), e(angle + np.pi / 2)]).T @ vector
-
-
-def poses(mechanism, q):
-    """Return the origin and absolute angle of every body, parents first or not."""
-    found = {'ground': (np.zeros(2), 0.0)}
-    joints = dict(zip(mechanism.joints, q))
-    while joints:
-        joint = next(j for j in joints if j.parent in found)
-        coordinate = joints.pop(joint)
-        origin, angle = found[joint.parent]
-        place, angle = origin + rotate(angle, joint.position), angle + joint.angle
-        if joint.type == 'revolute':
-            found[joint.child] = (place, angle + coordinate)
-        else:
-            found[joint.child] = (place + coordinate * e(angle), angle)
-    return found
-
-
-def place(mechanism, q, body, point):
-    origin, angle = poses(mechanism, q)[body]
-    return origin + rotate(angle, point)
-
-
-def closure(mechanism, q):
-    """Return psi of all cut joints, which are revolute in all shipped mechanisms."""
-    return np.concatenate([
-        place(mechanism, q, cut.body_a, cut.point_a) - place(mechanism, q, cut.body_b, cut.point_b)
-        for cut in mechanism.cut_joints])
-
-
 def closed(scene, held=None, guess=None):
     """Return the coordinates that close the loops with those in hold as given."""
     q = np.array(scene.initial.position if guess is None else guess)
-    fixed = [scene.mechanism.joint_names.index(joint) for joint in scene.initial.hold]
-    free = [j for j in range(len(q)) if j not in fixed]
-    q[fixed] = q[fixed] if held is None else held
-
-    def residual(x):
-        q[free] = x
-        return closure(scene.mechanism, q)
-    q[free] = fsolve(residual, q[free], xtol=1e-12)
-    return q
+    if held is not None:
+        q[[scene.mechanism.joint_names.index(joint) for joint in scene.initial.hold]] = held
+    return assemble(scene.mechanism, q, scene.initial.hold)
 
 
 def named_point(scene, q, name):
     point = next(point for point in scene.mechanism.points if point.name == name)
-    return place(scene.mechanism, q, point.body, point.position)
+    return placed(body_frames(scene.mechanism, q)[point.body], point.position)
 
 
 def hoeken_closure(p, q):
