@@ -12,7 +12,7 @@ from closedloop_dynamics import Simulation
 from closedloop_dynamics.recording.cost import Cost
 from closedloop_dynamics.ros import loading
 from closedloop_dynamics.ros.background import set_priority
-from closedloop_dynamics.ros.diagnostics import method_finding
+from closedloop_dynamics.ros.diagnostics import method_finding, OK, WARN
 from closedloop_dynamics.ros.loading import log_cost
 from closedloop_dynamics.ros.process import StartError
 from closedloop_dynamics.ros.simulator_node import SimulatorNode
@@ -500,3 +500,27 @@ def test_time_waits_for_subscribers(build, listener, mode):
     listener.wait(lambda: node.states.subscribers, 'a subscriber')
     advance(node, 0.05, ticks=5)
     assert node.simulation.time > 0.0 and not node.standing
+
+
+def test_diagnostics_tell_how_the_run_goes(make_node):
+    node = make_node(SimulatorNode, namespace='/cell', scene='three_rrr', integrator='heun',
+                     step_size=0.0005)
+    sent = []
+    node.diagnostics._publisher = SimpleNamespace(publish=sent.append)
+    pause(node)
+    assert trigger(node.on_step).success
+    node.on_torque_command(Float64MultiArray(data=[1.0]))
+    node.publish_diagnostics()
+    told = {status.name.removeprefix(f'cell/{node.get_name()}: '): (
+        status.level, {pair.key: pair.value for pair in status.values})
+        for status in sent[0].status}
+    assert set(told) == {
+        'time', 'method', 'closure', 'energy', 'elimination', 'commands', 'effects', 'graph'}
+    assert told['time'][1]['mode'] == 'realtime'
+    method = told['method'][1]
+    assert method['method'] == 'heun, projection' and float(method['step size [s]']) == 0.0005
+    assert float(method['compute time per step [us]']) > 0.0
+    assert float(told['closure'][1]['closure error [m or rad]']) < 1e-10
+    assert told['closure'][0] == OK and told['commands'][0] == WARN
+    assert told['effects'][1]['gravity'] == 'gravity'
+    assert told['commands'][1]['accepted'] == '0'

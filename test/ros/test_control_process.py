@@ -1,25 +1,20 @@
 # SPDX-FileCopyrightText: 2026 The closedloop_dynamics authors
 # SPDX-License-Identifier: Apache-2.0
 
-"""Control, time and diagnostics of a simulator as a process of its own, over DDS."""
+"""Time of a simulator as a process of its own, over DDS."""
 
 import math
 from pathlib import Path
 import signal
 
-from diagnostic_msgs.msg import DiagnosticArray
-from diagnostic_msgs.msg import DiagnosticStatus
 from geometry_msgs.msg import WrenchStamped
 import numpy as np
 import pytest
-from rcl_interfaces.srv import SetParameters
-from rclpy.parameter import Parameter
 from rclpy.time import Time
 from rosgraph_msgs.msg import Clock
 from sensor_msgs.msg import JointState
 from std_msgs.msg import Float64MultiArray
 from std_srvs.srv import SetBool
-from std_srvs.srv import Trigger
 
 SIMULATOR = 'closedloop_simulator'
 
@@ -27,38 +22,6 @@ SIMULATOR = 'closedloop_simulator'
 def stamp(message):
     """Return the stamp of a message [ns]."""
     return Time.from_msg(message.header.stamp).nanoseconds
-
-
-def test_run_is_paused_stepped_moved_and_reset(processes, listener):
-    # On a table, where it stays: from wherever it has fallen to, a state may be out of reach.
-    simulator = processes.start(SIMULATOR, scene='three_rrr_horizontal', publish_clock='true')
-    simulator.wait_until_ready()
-    states = listener.listen('joint_states', JointState)
-    # A subscriber is found late on a busy machine; what is published before is lost.
-    listener.wait(lambda: states, 'a state')
-    assert 'time runs' in listener.call(Trigger, f'{SIMULATOR}/step', Trigger.Request()).message
-    message = listener.call(SetBool, f'{SIMULATOR}/pause', SetBool.Request(data=True)).message
-    assert message.startswith('paused at ')
-    before = round(1e9 * float(message.split()[2]))
-    listener.call(SetParameters, f'{SIMULATOR}/set_parameters', SetParameters.Request(parameters=[
-        Parameter('step_count', value=50).to_parameter_msg()]))
-    assert listener.call(Trigger, f'{SIMULATOR}/step', Trigger.Request()).success
-    # Once, or again where the first answer was lost.
-    # The clock is one period ahead of simulated time.
-    listener.wait(lambda: stamp(states[-1]) - before in (60_000_000, 110_000_000),
-                  'the state 50 steps later')
-    mover = listener.publisher(f'{SIMULATOR}/set_state', JointState)
-    listener.send(
-        mover, JointState(name=['theta_1', 'theta_6', 'theta_7'], position=[1.1, 4.1, 5.8]),
-        lambda: states[-1].position[0] == 1.1, 'the state that was set')
-    mover.publish(JointState(name=['theta_1'], position=[1.2]))
-    simulator.wait_for('set_state refused: Holding theta_1 is not a complete choice')
-    assert listener.call(Trigger, f'{SIMULATOR}/reset', Trigger.Request()).success
-    listener.wait(lambda: stamp(states[-1]) == 10_000_000, 'the initial state')
-    assert 'not paused' in listener.call(
-        SetBool, f'{SIMULATOR}/pause', SetBool.Request(data=False)).message
-    listener.wait(lambda: stamp(states[-1]) > 10_000_000, 'motion')
-    assert simulator.stop() == 0
 
 
 def children(process):
@@ -155,36 +118,3 @@ def test_controller_in_lockstep_sees_the_same_run_every_time(processes, listener
     first, second = (run_in_lockstep(processes, listener, 200) for _ in range(2))
     assert first == second
     assert [time for time, _ in first] == [10_000_000 * k for k in range(200)]
-
-
-def test_diagnostics_tell_how_the_run_goes(processes, listener):
-    messages = listener.listen('/diagnostics', DiagnosticArray)
-    simulator = processes.start(
-        SIMULATOR, namespace='/cell', scene='three_rrr', integrator='heun', step_size='0.0005')
-    simulator.wait_until_ready()
-    bad = listener.publisher('/cell/torque_command', Float64MultiArray)
-
-    def levels(name):
-        return [status.level for message in messages for status in message.status
-                if status.name == f'cell/{SIMULATOR}: {name}']
-
-    listener.wait(lambda: len(messages) >= 2, 'two rounds')
-    told = {status.name.split(': ')[1]: {pair.key: pair.value for pair in status.values}
-            for status in messages[-1].status}
-    assert set(told) == {
-        'time', 'method', 'closure', 'energy', 'elimination', 'commands', 'effects',
-        'graph'}
-    assert told['time']['mode'] == 'realtime'
-    assert told['method']['method'] == 'heun, projection'
-    assert float(told['method']['step size [s]']) == 0.0005
-    assert float(told['method']['compute time per step [us]']) > 0.0
-    assert float(told['closure']['closure error [m or rad]']) < 1e-10
-    assert told['effects']['gravity'] == 'gravity'
-    assert told['commands']['accepted'] == '0'
-    assert set(levels('closure')) == {DiagnosticStatus.OK}
-    seen = len(levels('commands'))
-    listener.send(bad, Float64MultiArray(data=[1.0]),
-                  lambda: DiagnosticStatus.WARN in levels('commands')[seen:], 'a warning')
-    assert simulator.stop() == 0
-    # What the method cost is reported at the end, too.
-    assert '% of real time (heun, projection' in simulator.output

@@ -16,6 +16,8 @@ from rclpy.parameter import Parameter
 from rclpy.time import Time
 from sensor_msgs.msg import JointState
 from std_msgs.msg import Float64MultiArray
+from std_srvs.srv import SetBool
+from std_srvs.srv import Trigger
 
 SIMULATOR = 'closedloop_simulator'
 
@@ -48,7 +50,7 @@ def test_states_and_forces_come_at_the_rate_asked_for(processes, listener):
     # Falling under gravity, with no torque.
     assert not any(states[-1].effort)
     assert states[-1].position != states[0].position
-    assert simulator.stop() == 0
+    assert simulator.stop(signal.SIGTERM) == 0
     assert 'messages published' in simulator.output
 
 
@@ -66,6 +68,12 @@ def test_others_command_and_change_it(processes, listener):
     joints = listener.publisher('joint_command', JointState)
     listener.wait(lambda: len(states) > 5, 'states')
     assert states[-1].position == states[0].position
+    mover = listener.publisher(f'{SIMULATOR}/set_state', JointState)
+    listener.send(
+        mover, JointState(name=['theta_1', 'theta_6', 'theta_7'], position=[1.1, 4.1, 5.8]),
+        lambda: states[-1].position[0] == 1.1, 'the state that was set')
+    mover.publish(JointState(name=['theta_1'], position=[1.2]))
+    simulator.wait_for('set_state refused: Holding theta_1 is not a complete choice')
     listener.send(
         torques, Float64MultiArray(data=[1.0, 2.0, 3.0]), lambda: applied(states, [1.0, 2.0, 3.0]),
         'state with these efforts')
@@ -96,7 +104,11 @@ def test_others_command_and_change_it(processes, listener):
     listener.wait(lambda: len(states) > count + 12, 'states at the new rate')
     assert (stamp(states[-1]) - stamp(states[count + 2])) / (len(states) - count - 3) > 0.04
     assert not any(9.0 in message.effort or 1e300 in message.effort for message in states)
+    assert listener.call(SetBool, f'{SIMULATOR}/pause', SetBool.Request(data=True)).success
+    assert listener.call(Trigger, f'{SIMULATOR}/step', Trigger.Request()).success
     assert simulator.stop() == 0
+    # What the method cost is reported at the end, too.
+    assert '% of real time (auto, projection' in simulator.output
     assert 'command rejected: ' in simulator.output
     # The first ones may have been heard twice.
     assert f' accepted, {len(bad)} rejected' in simulator.output
@@ -155,15 +167,6 @@ def test_help_lists_the_parameters(processes, executable, parameters):
     for name in parameters:
         assert f'\n  {name}  (' in process.output
     assert process.output.startswith(f'usage: {executable} ')
-
-
-@pytest.mark.parametrize('number', [
-    signal.SIGTERM, pytest.param(signal.SIGINT, marks=pytest.mark.slow)])
-def test_one_signal_ends_the_process_cleanly(processes, number):
-    simulator = processes.start(SIMULATOR, scene='four_bar').wait_until_ready()
-    assert simulator.stop(number) == 0
-    assert 'Traceback' not in simulator.output
-    assert 'messages published' in simulator.output
 
 
 @pytest.mark.parametrize('pause', [

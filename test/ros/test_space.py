@@ -1,18 +1,19 @@
 # SPDX-FileCopyrightText: 2026 The closedloop_dynamics authors
 # SPDX-License-Identifier: Apache-2.0
 
-"""The simulator runs mechanisms in space: states, forces of six components, frames, bags."""
+"""The simulator runs mechanisms in space: states, orientations, wrenches, frames, markers."""
 
 from dataclasses import replace
 import json
-from test.reference import cases
+from test.reference import cases, spatial_machines
 from test.reference.spatial_maximal import matrix
 from test.ros.test_frames import broadcast  # noqa: F401
+from test.simulation.test_orientations import scene as orientation_scene
 from test.simulation.test_space import machine, scene, tilted_four_bar, TURN
 from xml.etree import ElementTree
 
 from builtin_interfaces.msg import Time
-from closedloop_dynamics.mechanism.mechanism import Point
+from closedloop_dynamics.mechanism.mechanism import Body, Joint, Mechanism, Point
 from closedloop_dynamics.ros.auxiliary_publishers import LATCHED_QOS
 from closedloop_dynamics.ros.simulator_node import SimulatorNode
 from closedloop_dynamics.ros.torque_source_node import TorqueSourceNode
@@ -20,6 +21,8 @@ from closedloop_dynamics.simulation.scene import load_scene
 from closedloop_dynamics.simulation.scene_text import scene_text
 from closedloop_dynamics.simulation.simulation import Simulation
 from closedloop_dynamics.visual.appearance import marked_points
+from geometry_msgs.msg import Transform
+from geometry_msgs.msg import Twist
 from geometry_msgs.msg import WrenchStamped
 import numpy as np
 import pytest
@@ -41,8 +44,23 @@ def file_of(made, directory):
     return str(path)
 
 
+def floater():
+    """Return a driven universal joint and a driven ball on a floating body."""
+    bodies = tuple(Body(name, 1.0, (0.1, 0.0, 0.05), (0.02, 0.03, 0.04))
+                   for name in ('hull', 'arm', 'hand'))
+    return Mechanism('floater', bodies, (
+        Joint('hull', 'free', 'ground', 'hull', (0.0, 0.0, 1.0)),
+        Joint('hip', 'universal', 'hull', 'arm', (0.2, 0.0, 0.0), axis=(1.0, 0.0, 0.0),
+              second_axis=(0.0, 1.0, 0.0), actuated=True),
+        Joint('ball', 'spherical', 'arm', 'hand', (0.3, 0.0, 0.0), actuated=True)))
+
+
 def made(name):
     """Return the scene of a machine in space."""
+    if name == 'floater':
+        return orientation_scene(floater(), velocity={'hull': {
+            'velocity': (0.1, 0.2, 0.3), 'angular_velocity': (1.0, 2.0, 3.0)}},
+            gravity=(0.0, 0.0, -1.0))
     if name == 'tilted':
         _, mechanism, axes = tilted_four_bar(TURN)
         return replace(scene(mechanism, tuple(axes @ (0.0, -9.81, 0.0))),
@@ -65,44 +83,77 @@ def step(node):
     assert node.on_step(Trigger.Request(), Trigger.Response()).success
 
 
-# A ball, which hands over no moment; a pin with an equation that repeats others.
-@pytest.mark.parametrize('name', cases.first(1, ('rssr_four_bar', 'bricard')))
+def numbers(vector):
+    return [getattr(vector, axis) for axis in 'xyzw' if hasattr(vector, axis)]
+
+
+def quantities(coordinates, state, turned):
+    """Return position, velocity and effort of joints as a simulation has them, from messages."""
+    q, qd, effort = coordinates.start(), np.zeros(coordinates.nv), np.zeros(coordinates.nv)
+    index = {name: k for k, name in enumerate(state.name)}
+    for name in coordinates.single_names:
+        rate, k = coordinates.index[name], index[name]
+        q[coordinates.place[rate]] = state.position[k]
+        qd[rate], effort[rate] = state.velocity[k], state.effort[k]
+    for k, name in enumerate(coordinates.with_orientation):
+        one = turned.joint_names.index(name)
+        for values, places, given in (
+                (q, coordinates.pose[k], (turned.transforms[one].translation,
+                                          turned.transforms[one].rotation)),
+                (qd, coordinates.twist[k], (turned.twist[one].linear, turned.twist[one].angular)),
+                (effort, coordinates.twist[k], (turned.wrench[one].force,
+                                                turned.wrench[one].torque))):
+            told = np.array([*numbers(given[0]), *numbers(given[1])])
+            values[places[places >= 0]] = told[places >= 0]
+            assert not told[places < 0].any()
+    return q, qd, effort
+
+
+# A ball, which hands over no moment; a pin with an equation that repeats others; joints of
+# several freedoms in the tree.
+@pytest.mark.parametrize('name', cases.only(
+    ('rssr_four_bar', 'floater'), ('rssr_four_bar', 'bricard', 'floater')))
 def test_published_states_and_forces_are_those_of_the_library(make_node, listener, tmp_path, name):
     path = file_of(made(name), tmp_path)
     node = stepped_node(make_node, path)
     mechanism = node.simulation.mechanism
-    cut = mechanism.cut_joints[0].name
+    trees, cuts = mechanism.coordinates, mechanism.cut_coordinates
     states = listener.listen('joint_states', JointState)
-    forces = listener.listen(f'constraint_forces/{cut}', WrenchStamped)
+    forces = [listener.listen(f'constraint_forces/{cut.name}', WrenchStamped)
+              for cut in mechanism.cut_joints]
     turned = listener.listen('multi_dof_joint_states', MultiDOFJointState)
+    heard = [states, *forces, *([turned] if (
+        trees.with_orientation or cuts.with_orientation) else [])]
     # Publishers and subscribers have found each other.
-    listener.wait(lambda: not step_back(node) and states and forces, 'a first state')
-    node.on_torque_command(Float64MultiArray(data=[0.05]))
+    listener.wait(lambda: not step_back(node) and all(heard), 'a first state')
+    command = [0.1, -0.2, 0.3, 0.2, 0.1] if name == 'floater' else [0.05]
+    node.on_torque_command(Float64MultiArray(data=command))
     library = Simulation.from_scene(path)
     for _ in range(3):
         step(node)
-        library.step([0.05], 20 * library.step_size)
+        library.step(command, 20 * library.step_size)
         stamp = node.states.stamp
-        listener.wait(lambda: states[-1].header.stamp == stamp
-                      and forces[-1].header.stamp == stamp, 'the state after the steps')
-        cuts = mechanism.cut_coordinates
-        numbers = cuts.place[cuts.single]
-        assert states[-1].name == [*mechanism.joint_names, *cuts.single_names]
-        assert list(states[-1].position) == [*library.position, *library.cut_position[numbers]]
-        assert list(states[-1].velocity) == [*library.velocity, *library.cut_velocity[cuts.single]]
-        assert list(states[-1].effort) == [*library.effort, *library.cut_effort[cuts.single]]
-        if cuts.with_orientation:
-            listener.wait(lambda: turned and turned[-1].header.stamp == stamp, 'orientations')
-            assert turned[-1].joint_names == list(cuts.with_orientation)
-            (pose,), (twist,) = turned[-1].transforms, turned[-1].twist
-            turn, rate = pose.rotation, twist.angular
-            assert [turn.x, turn.y, turn.z, turn.w] == library.cut_position.tolist()
-            assert [rate.x, rate.y, rate.z] == library.cut_velocity.tolist()
-        force, torque = forces[-1].wrench.force, forces[-1].wrench.torque
-        assert [torque.x, torque.y, torque.z, force.x, force.y, force.z] == (
-            library.constraint_forces[0].tolist())
-    assert min(abs(part) for part in (force.x, force.y, force.z)) > 1e-3
-    assert (max(map(abs, (torque.x, torque.y, torque.z))) > 1e-3) == (name == 'bricard')
+        listener.wait(lambda: all(each[-1].header.stamp == stamp for each in heard),
+                      'the state after the steps')
+        latest = turned[-1] if turned else None
+        assert states[-1].name == [*trees.single_names, *cuts.single_names]
+        assert not turned or latest.joint_names == [*trees.with_orientation,
+                                                    *cuts.with_orientation]
+        for found, expected in zip(
+                (*quantities(trees, states[-1], latest), *quantities(cuts, states[-1], latest)),
+                (library.position, library.velocity, library.effort, library.cut_position,
+                 library.cut_velocity, library.cut_effort)):
+            assert found.tolist() == expected.tolist()
+        for each, expected in zip(forces, library.constraint_forces):
+            wrench = each[-1].wrench
+            assert [*numbers(wrench.torque), *numbers(wrench.force)] == expected.tolist()
+    for wrench in library.constraint_forces:
+        assert min(map(abs, wrench[3:])) > 1e-3
+        assert (max(map(abs, wrench[:3])) > 1e-3) == (name == 'bricard')
+    if name == 'floater':
+        # Efforts by name.
+        node.on_joint_command(JointState(name=['ball.rz', 'hip.1'], effort=[0.5, 0.7]))
+        assert node.command.torque.tolist() == [0.7, -0.2, 0.3, 0.2, 0.5]
     assert node.exit_code is None
 
 
@@ -125,6 +176,38 @@ def test_states_are_set_and_the_start_is_come_back_to(make_node, tmp_path):
     assert node.counts == {'states set': 1, 'states refused': 1}
     assert not step_back(node)
     assert node.simulation.position.tolist() == start.tolist()
+
+
+def test_orientations_are_set_from_a_topic(make_node, tmp_path):
+    node = stepped_node(make_node, file_of(made('floater'), tmp_path))
+    pose, twist = Transform(), Twist()
+    pose.rotation.x, pose.rotation.w = 0.6, 0.8
+    twist.angular.y = 2.0
+    message = MultiDOFJointState(joint_names=['ball'], transforms=[pose], twist=[twist])
+    before = node.simulation.position
+    node.on_set_multi_dof_state(message)
+    assert node.counts == {'states set': 1, 'states refused': 0}
+    assert node.simulation.position.tolist() == [*before[:-4], 0.6, 0.0, 0.0, 0.8]
+    assert node.simulation.velocity[-3:].tolist() == [0.0, 2.0, 0.0]
+    # One number of a universal joint.
+    node.on_set_state(JointState(name=['hip.2'], position=[0.4]))
+    assert node.simulation.position[8] == 0.4
+    pose.rotation.w = 0.9
+    node.on_set_multi_dof_state(message)
+    pose.rotation.w, pose.translation.z = 0.8, 0.1
+    node.on_set_multi_dof_state(message)
+    node.on_set_state(JointState(name=['ball'], position=[0.4]))
+    node.on_set_multi_dof_state(MultiDOFJointState(joint_names=['hip'], transforms=[pose]))
+    assert node.counts == {'states set': 2, 'states refused': 4}
+
+
+def test_an_idle_spin_needs_no_number(make_node, tmp_path):
+    mechanism, _ = spatial_machines.rssr_four_bar()
+    node = stepped_node(make_node, file_of(orientation_scene(mechanism), tmp_path))
+    node.on_set_state(JointState(name=['crank'], position=[0.3]))
+    assert node.counts == {'states set': 1, 'states refused': 0}
+    assert node.simulation.position[0] == 0.3
+    assert node.simulation.closure < 1e-12
 
 
 def test_effects_are_changed_by_vectors_of_three_numbers(make_node, tmp_path):
@@ -152,16 +235,6 @@ def test_diagnostics_tell_whether_forces_are_unique(
     assert messages['elimination'] == ('well posed' if unique else (
         '1 of 5 closure equations depend on the others: the constraint forces are not unique, the '
         'least ones are shown'))
-
-
-def test_description_of_the_robot_is_that_of_the_mechanism(make_node, listener, tmp_path):
-    node = stepped_node(make_node, file_of(made('rssr_four_bar'), tmp_path))
-    told = []
-    listener.node.create_subscription(String, 'robot_description', told.append, LATCHED_QOS)
-    listener.wait(lambda: told, 'the description')
-    robot = ElementTree.fromstring(told[0].data)
-    assert {joint.get('name') for joint in robot.findall('joint')} == {
-        'world_to_ground', *node.simulation.joint_names}
 
 
 def points_of(marker):
@@ -211,29 +284,33 @@ def test_markers_are_where_the_machine_is(make_node, tmp_path, name):
     assert np.linalg.norm(trail[-1] - node.simulation.point('tip')) < 0.02
 
 
-@pytest.mark.parametrize('name', ['bricard', 'tilted'])
+# Of the last, bodies on joints without an orientation have no frames unless all links are asked
+# for.
+@pytest.mark.parametrize('name', ['bricard', 'tilted', 'floater'])
 def test_frames_are_where_cut_points_and_links_are(broadcast, tmp_path, name):  # noqa: F811
     one = made(name)
-    mechanism = one.mechanism
-    cut = mechanism.cut_joints[0]
-    points = [Point('cut_point', cut.body_a, cut.point_a)]
+    mechanism, everything = one.mechanism, name != 'floater'
+    points = [Point(f'at_{cut.name}', cut.body_a, cut.point_a) for cut in mechanism.cut_joints]
     points += [Point(f'{body.name}_{k}', body.name, tuple(place)) for body in mechanism.bodies
                for k, place in enumerate([np.zeros(3), *np.eye(3)])]
     path = file_of(replace(one, mechanism=replace(mechanism, points=tuple(points))), tmp_path)
-    node, found = broadcast(scene=path, publish_tf=True)
+    node, found = broadcast(scene=path, **({'publish_tf': True} if everything else {}))
     places = dict(zip([point.name for point in points], node.simulation.points))
+    bodies = [body.name for body in mechanism.bodies]
+    expected = {f'constraint_forces/{cut.name}': (places[f'at_{cut.name}'], np.eye(3))
+                for cut in mechanism.cut_joints}
+    for body in bodies if everything else ('hull', 'hand'):
+        origin, *ends = (places[f'{body}_{k}'] for k in range(4))
+        expected[body] = origin, (np.array(ends) - origin).T
+    if everything:
+        expected['ground'] = np.zeros(3), np.eye(3)
     # Those that move, then those that do not.
-    assert list(found) == [
-        f'constraint_forces/{cut.name}', *(body.name for body in mechanism.bodies), 'ground']
-    expected = {f'constraint_forces/{cut.name}': (places['cut_point'], np.eye(3)),
-                'ground': (np.zeros(3), np.eye(3))}
-    for body in mechanism.bodies:
-        origin, *ends = (places[f'{body.name}_{k}'] for k in range(4))
-        expected[body.name] = origin, (np.array(ends) - origin).T
+    assert list(found) == list(expected)
     for frame, (origin, axes) in expected.items():
+        assert everything or found[frame].header.frame_id == 'world'
         place, turn = found[frame].transform.translation, found[frame].transform.rotation
-        np.testing.assert_allclose([place.x, place.y, place.z], origin, atol=1e-14)
-        np.testing.assert_allclose(matrix((turn.x, turn.y, turn.z, turn.w)), axes, atol=1e-14)
+        np.testing.assert_allclose(numbers(place), origin, atol=1e-14)
+        np.testing.assert_allclose(matrix(numbers(turn)), axes, atol=1e-14)
 
 
 def test_computed_torque_leads_a_machine_in_space(make_node, tmp_path):
@@ -250,3 +327,17 @@ def test_computed_torque_leads_a_machine_in_space(make_node, tmp_path):
     # From rest: kp times the distance.
     acceleration, _ = one.forward_dynamics(one.position, one.velocity, sent[-1].data)
     np.testing.assert_allclose(acceleration[0], 100.0 * 0.2, rtol=1e-9)
+
+
+def test_description_of_the_robot_has_floating_joints_and_chains(make_node, listener, tmp_path):
+    node = stepped_node(make_node, file_of(made('floater'), tmp_path))
+    told = []
+    listener.node.create_subscription(String, 'robot_description', told.append, LATCHED_QOS)
+    listener.wait(lambda: told, 'the description')
+    assert node.exit_code is None
+    robot = ElementTree.fromstring(told[0].data)
+    assert {joint.get('name'): joint.get('type') for joint in robot.findall('joint')} == {
+        'world_to_ground': 'fixed', 'hull': 'floating', 'hip.1': 'continuous',
+        'hip.2': 'continuous', 'ball': 'floating'}
+    driven = robot.find('ros2_control').findall('joint')
+    assert [joint.get('name') for joint in driven] == ['hip.1', 'hip.2']
