@@ -33,9 +33,9 @@ from programs import POLL, ProgramError, Programs, READY
 DEFAULT_OUTPUT = 'demo_output'
 # The machines of the package's name, where no other is requested.
 SHOWN = ('carpet_scraper', 'three_rrr')
-EXIT_CODES = ('Exit codes: 0 done; 1 a node failed, or a machine did not do what was wanted (not '
-              'judged on a computer that was too busy, which is told); 2 a wrong option or scene; '
-              '130 interrupted.')
+EXIT_CODES = ('Exit codes: 0 done; 1 a node failed, or a machine did not do what was wanted '
+              '(where the computer is too busy to judge that, the output says so); 2 a wrong '
+              'option or scene; 130 interrupted.')
 # For loading, for nodes to find each other, and to end [s].
 LOADING, FINDING, ENDING = 120.0, 60.0, 20.0
 SIGNALS = (signal.SIGINT, signal.SIGTERM, signal.SIGHUP)

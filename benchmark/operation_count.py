@@ -8,7 +8,7 @@ Counted are the operations of the routine that is generated for a mechanism: not
 twice, and nothing that the results do not depend on. A multiplication whose product only one
 addition takes is one operation with it, as in the machine code; among flops it counts as two, as
 it does in those of a KKT system of the same mechanism that CasADi generates (peer_generated.py),
-wherever that can be told the mechanism. The longest chain of dependent
+wherever CasADi can express the mechanism. The longest chain of dependent
 operations bounds the time from below, as do all operations side by side where none are in vectors;
 both by the measured times of single operations in generated code.
 """

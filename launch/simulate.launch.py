@@ -7,7 +7,7 @@ Simulate a scene, and drive, record and show it if asked to.
     ros2 launch closedloop_dynamics simulate.launch.py scene:=four_bar
     ros2 launch closedloop_dynamics simulate.launch.py drive:=three_rrr_circle rviz:=true
 
-``ros2 launch closedloop_dynamics simulate.launch.py --show-args`` tells all arguments.
+``ros2 launch closedloop_dynamics simulate.launch.py --show-args`` lists all arguments.
 """
 
 from pathlib import Path

@@ -144,8 +144,8 @@ COMMAND = Command(
     description="""\
 Read what sensors measured, from a bag or a CSV file, and estimate the motion of the whole
 mechanism, the forces in its joints and what is unknown (loads, friction, lengths, errors of
-sensors), each with a standard deviation. All of the record tells of each instant (a
-smoother); with --filter what was measured up to then, as closedloop_estimator does live.
+sensors), each with a standard deviation. Each instant is estimated from the whole record (a
+smoother); with --filter from what was measured up to then, as closedloop_estimator does live.
 """,
     examples=(
         'estimate my_bag --scene three_rrr --sensors sensors.yaml --picture estimates.png',

@@ -115,9 +115,9 @@ Numbers begin as they are in the scene.
                       'mechanism.bodies.crank: mass, centre of mass and inertia; '
                       'mechanism.bodies: those of all bodies'),
         SET,
-        *measured_options('driven ones, where they decide all others', 'rates and accelerations '
-                          'are those of splines as smooth as it allows (default: 0, those '
-                          'recorded)'),
+        *measured_options('driven ones, where they determine all others', 'rates and '
+                          'accelerations are those of splines as smooth as it allows (default: '
+                          '0, those recorded)'),
         Argument('--namespace', metavar='NAME',
                  help='of the simulator, where several are in the bag'),
         picture_option('recorded efforts, and what is left of them'),

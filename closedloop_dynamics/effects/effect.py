@@ -31,7 +31,7 @@ class NameResolver:
     ----------
     determined : frozenset of tuples
         Sums of freedoms, as pairs of names and arms, whose rates loops and prescribed motions
-        decide, whatever forces act; of those that dry friction acts along.
+        determine, whatever forces act; of those that dry friction acts along.
 
     """
 

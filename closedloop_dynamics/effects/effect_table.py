@@ -14,7 +14,7 @@ from ..engine import native
 
 
 class EffectElement(NamedTuple):
-    """An effect as the engine is told: as ``ForceElement``, with the address of its routine."""
+    """An effect as the engine has it: a ``ForceElement`` with the address of its routine."""
 
     role: int
     routine: int
@@ -63,7 +63,7 @@ class EffectTable(Handle):
 
         """
         return cls(native.effects(
-            model, whole, told(elements, len(model.gravity) == 3), *cuts or NO_CUTS),
+            model, whole, for_engine(elements, len(model.gravity) == 3), *cuts or NO_CUTS),
             list(elements))
 
     @property
@@ -112,13 +112,13 @@ class EffectTable(Handle):
 
     def put(self, number, element, enabled):
         """Have an effect say something else, or be switched, while a simulation may run."""
-        one, = told([element], self.is_spatial, enabled)
+        one, = for_engine([element], self.is_spatial, enabled)
         native.put_effect(self, number, one)
         self.elements[number] = element
 
 
-def told(elements, spatial, enabled=True):
-    """Return elements as the engine is told; code of laws is compiled where it is missing."""
+def for_engine(elements, spatial, enabled=True):
+    """Return elements as the engine has them; code of laws is compiled where it is missing."""
     routines = law_code.routines_of([Row(element) for element in elements], spatial)
     return tuple(EffectElement(
         element.law.role, routine,

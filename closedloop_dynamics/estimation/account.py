@@ -33,11 +33,11 @@ class Account:
         self._windows: Dict[str, Deque[float]] = {
             name: deque(maxlen=WINDOW) for name in measuring.sensors}
         self._latest = dict.fromkeys(measuring.sensors, time)
-        self._told: Deque[Any] = deque(maxlen=INSTANTS)
+        self._scores: Deque[Any] = deque(maxlen=INSTANTS)
         count = len(columns.suspected)
         self._score, self._weight = np.zeros(count), np.zeros(count)
 
-    def add(self, found: Sequence[Innovation], told: Any) -> None:
+    def add(self, found: Sequence[Innovation], score: Any) -> None:
         """Take the innovations of an instant, and what they say of suspects."""
         for one in found:
             counts = self._counts[one.sensor]
@@ -45,13 +45,13 @@ class Account:
             counts[LATE] += one.late
             self._windows[one.sensor].append(one.nis)
             self._latest[one.sensor] = max(self._latest[one.sensor], one.time)
-        if told is not None and len(self._score):
-            if len(self._told) == INSTANTS:
-                self._weigh(self._told[0], -1.0)
-            self._told.append(told)
-            self._weigh(told, 1.0)
+        if score is not None and len(self._score):
+            if len(self._scores) == INSTANTS:
+                self._weigh(self._scores[0], -1.0)
+            self._scores.append(score)
+            self._weigh(score, 1.0)
 
-    def forget(self, found: Sequence[Innovation], told: Any) -> None:
+    def forget(self, found: Sequence[Innovation], score: Any) -> None:
         """Take back the last instant, whose readings are used again."""
         for one in found:
             counts = self._counts[one.sensor]
@@ -59,16 +59,16 @@ class Account:
             counts[LATE] -= one.late
             if self._windows[one.sensor]:
                 self._windows[one.sensor].pop()
-        if told is not None and self._told:
-            self._weigh(self._told.pop(), -1.0)
+        if score is not None and self._scores:
+            self._weigh(self._scores.pop(), -1.0)
 
     def refuse(self, name: str) -> None:
         """Count a reading that could not be taken."""
         self._counts[name][REFUSED] += 1
 
-    def _weigh(self, told: Any, sign: float) -> None:
-        self._score += sign * told[0]
-        self._weight += sign * told[1]
+    def _weigh(self, score: Any, sign: float) -> None:
+        self._score += sign * score[0]
+        self._weight += sign * score[1]
 
     def consistency(self, time: float) -> Consistency:
         """Return how the sensors have fared at a time."""

@@ -102,7 +102,7 @@ class Entry(NamedTuple):
     event: Event
     after: Now
     found: List[Innovation]
-    told: Any  # Of suspects
+    score: Any  # Of suspects
 
 
 class Estimator:
@@ -330,7 +330,7 @@ class Estimator:
         while self._past and self._past[-1].event.time > event.time + SAME_TIME:
             entry = self._past.pop()
             again.append(entry.event)
-            self._account.forget(entry.found, entry.told)
+            self._account.forget(entry.found, entry.score)
         now, target = self._now, max(self._now.time, event.time)
         if again or event.time < now.time - SAME_TIME:
             now, event = self._latest_before, event._replace(late=True)
@@ -352,21 +352,21 @@ class Estimator:
         if event.time > now.time + SAME_TIME:
             now = self.filter.predicted(now, event.time)
         found: List[Innovation] = []
-        told = None
+        score = None
         if event.command is not None:
             now = now._replace(command=event.command)
         if event.readings:
-            now, found, told = self.filter.updated(now, event.readings, event.late)
-        self._past.append(Entry(event, now, found, told))
-        self._account.add(found, told)
+            now, found, score = self.filter.updated(now, event.readings, event.late)
+        self._past.append(Entry(event, now, found, score))
+        self._account.add(found, score)
         return now, found
 
     def taken(self, now: Now, readings: Mapping[str, np.ndarray]) -> Tuple[Now, List[str]]:
         """Return what is thought after readings of a record, and which were used; count them."""
         found: List[Innovation] = []
         if readings:
-            now, found, told = self.filter.updated(now, readings)
-            self._account.add(found, told)
+            now, found, score = self.filter.updated(now, readings)
+            self._account.add(found, score)
         self._now = now
         return now, [one.sensor for one in found if one.accepted]
 

@@ -384,9 +384,9 @@ class Filter:
                 accepted.append(name)
         if not accepted:
             return now, found, None
-        told, signature = None, now.signature
+        score, signature = None, now.signature
         if not columns.all:
-            told = left.T @ white, np.einsum('ij,ij->j', left, left)
+            score = left.T @ white, np.einsum('ij,ij->j', left, left)
             signature = signature - whitened.T @ left
         try:
             point = self.moved(now, change, near=True)
@@ -407,7 +407,7 @@ class Filter:
                 point = self.moved(now, change, near=True)
                 if (np.abs(change - before) <= scale).all():
                     break
-        return point._replace(covariance=covariance, signature=signature), found, told
+        return point._replace(covariance=covariance, signature=signature), found, score
 
     def _layout_of(self, names: Tuple[str, ...]) -> Layout:
         """Return how the numbers of sensors stand in a row."""

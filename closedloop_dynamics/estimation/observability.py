@@ -59,10 +59,10 @@ def observability(filtering: Filter, now: Now, names: Sequence[str], torques: np
             for step in filtering.steps(now, begin + (k + 1) * duration / count):
                 transition = step.transition @ transition
                 now = step.now
-    return _told(factor, typical, names)
+    return _observability(factor, typical, names)
 
 
-def _told(factor: np.ndarray, typical: np.ndarray, names: Sequence[str]) -> Observability:
+def _observability(factor: np.ndarray, typical: np.ndarray, names: Sequence[str]) -> Observability:
     """Return what rows in units of their noise tell, of which that is the triangular factor."""
     lengths = np.linalg.norm(factor, axis=0)
     seen = lengths * typical > UNSEEN

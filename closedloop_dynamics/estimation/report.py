@@ -12,9 +12,8 @@ from ..visual.trajectory import wrench_parts
 
 # Behind the name of a column: its standard deviation.
 DEVIATION = '.deviation'
-# An unknown whose standard deviation is no smaller than this share of that at the start is not
-# told by the measurements.
-TOLD = 0.9
+# An unknown whose standard deviation stays above this share of that at the start is not observed.
+OBSERVED = 0.9
 
 
 def columns(estimate, mechanism):
@@ -40,17 +39,17 @@ def columns(estimate, mechanism):
 
 
 def unknowns_table(estimate, unknowns):
-    """Return the unknowns as a table, and the names of those that the record does not tell."""
+    """Return the unknowns as a table, and the names of those that are not observable."""
     begun = [deviation for one in unknowns for deviation in one.deviations]
-    found, rows, untold = estimate.unknowns, [], []
+    found, rows, unobserved = estimate.unknowns, [], []
     for name, value, deviation, before in zip(
             found.names, found.value, found.deviation, begun):
-        told = deviation < TOLD * before
-        untold += [name] * (not told)
+        observed = deviation < OBSERVED * before
+        unobserved += [name] * (not observed)
         rows.append((name, f'{value:.6g}', f'{deviation:.2g}',
                      f'{value - 2.0 * deviation:.5g} to {value + 2.0 * deviation:.5g}',
-                     '' if told else 'not observable in this record'))
-    return text_table(('unknown', 'value', 'standard deviation', '95 %', ''), rows), untold
+                     '' if observed else 'not observable in this record'))
+    return text_table(('unknown', 'value', 'standard deviation', '95 %', ''), rows), unobserved
 
 
 def sensors_table(consistency):

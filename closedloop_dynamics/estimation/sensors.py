@@ -6,7 +6,7 @@ What is measured, and how well: records of sensors, which name joints, bodies an
 
 Noise is white and normally distributed, of a standard deviation in the unit of the reading. A
 value that is handed over at a time was true ``latency`` earlier. ``rate``: how often values come;
-a sensor with a rate that is silent for longer is told (``Consistency.silent``). What a sensor adds
+one that stays silent for longer is reported (``Consistency.silent``). What a sensor adds
 to the truth for longer, a bias or a scale, is an unknown (``unknowns``).
 """
 

@@ -2,7 +2,7 @@
 # SPDX-License-Identifier: Apache-2.0
 
 """
-What an estimator is told, from a YAML file: sensors, unknowns and noise, and where they come from.
+The setup of an estimator, from a YAML file: sensors, unknowns, noise, and where they come from.
 
     sensors:
       encoder_1: {type: joint, joint: theta_1, deviation: 1.0e-4, latency: 0.004}
@@ -55,7 +55,7 @@ class SetupError(ValueError):
 
 class Setup(NamedTuple):
     """
-    What an estimator is told.
+    The setup of an estimator.
 
     Attributes
     ----------
@@ -91,7 +91,7 @@ class Setup(NamedTuple):
 
 def read_setup(source: Union[str, Path, Mapping[str, Any]], scene: Scene) -> Setup:
     """
-    Read what an estimator of a scene is told.
+    Read the setup of an estimator of a scene.
 
     Parameters
     ----------

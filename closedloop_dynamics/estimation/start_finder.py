@@ -16,8 +16,8 @@ class StartFinder:
     """
     Finds the start of a run in readings as they come.
 
-    Where the measured joints decide all others, their positions do, and their rates: measured, or
-    from one reading to the next. Otherwise it is where the model starts.
+    Where the measured joints determine all others, their positions do, and their rates, measured
+    or from one reading to the next. Otherwise it is where the model starts.
 
     Parameters
     ----------

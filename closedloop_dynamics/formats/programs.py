@@ -21,7 +21,7 @@ _LINKS = (('parentlink', 'childlink', 'parentmodel', 'childmodel'),
           ('link1', 'link2', 'model1', 'model2'), ('linka', 'linkb', 'modela', 'modelb'),
           ('linkname1', 'linkname2', 'modelname1', 'modelname2'))
 _JOINTS = (('joint', 'mimicjoint'), ('jointname', 'mimicjoint'), ('jointname', 'mimicjointname'))
-# Links that are drawn further apart than this are told [m].
+# Links that are drawn further apart than this are reported [m].
 APART = 1e-6
 
 

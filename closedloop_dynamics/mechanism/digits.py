@@ -9,7 +9,7 @@ a rounded digit, 1.570796327 beside 1.5707963268: forces of rounding without end
 stays open by 1e-10. What agrees on a body, or on bodies that slide on one another and so keep
 their orientations, to the mechanism's ``tolerance`` is taken as what it nearly is: axes parallel
 or at right angles, axes and points that meet, loops of parallel axes as wide on both sides. What
-agrees less well, but to everyday rounding, is told.
+agrees less well, but to everyday rounding, is reported.
 """
 
 from dataclasses import dataclass, replace

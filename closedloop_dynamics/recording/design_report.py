@@ -280,13 +280,13 @@ def _tolerances(tolerances, scene, run):
     for key, (kind, size) in tolerances.items():
         used.setdefault((kind, size), []).append(
             key.removeprefix('parameters.').removeprefix('mechanism.'))
-    told = '; '.join(
+    limits = '; '.join(
         f'{escape(", ".join(names) if scene.parameters else "places of joints")} ({kind}) '
         f'{size:g} {design.TOLERANCES[kind][0]}' for (kind, size), names in used.items())
     return title, [('', '1 sigma', 'worst case'), *(
         (what, f'{sigma:.3g} {unit}', f'{worst:.3g} {unit}') for what, sigma, worst, unit in zip(
             found.outputs, found.sigma(sizes) * turned, found.worst(sizes) * turned, units))], [
-        f'<p class="note">Largest error over the drive with tolerances, plus or minus: {told}. '
+        f'<p class="note">Largest error over the drive with tolerances, plus or minus: {limits}. '
         'All at their worst, and one standard deviation where a tolerance is three. Below, the '
         'largest change over the drive with each number [deg or m per its unit].</p>', *tables]
 

@@ -63,7 +63,7 @@ class ReplayLog:
     Where the command, or the accuracy that a budget allows, changes between two published states,
     an entry without a stamp says up to when the old one acted. ``index`` counts the entries, so
     that a gap is seen; ``jumps`` counts the resets and the states that were set from outside.
-    ``columns``: names of the first numbers of each entry, which are told once, in ``scene``; the
+    ``columns``: names of the first numbers of each entry, published once, in ``scene``; the
     others are the state.
     """
 

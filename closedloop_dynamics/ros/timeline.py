@@ -1,7 +1,7 @@
 # SPDX-FileCopyrightText: 2026 The closedloop_dynamics authors
 # SPDX-License-Identifier: Apache-2.0
 
-"""Stamps of a run, told from jumps in time and from stamps that are wrong."""
+"""Distinguishes stamps of a run from jumps in time and from stamps that are wrong."""
 
 
 class Timeline:

@@ -367,7 +367,7 @@ class Assembler:
 
     def determined(self, q, derivatives):
         """
-        Return which rates the closure equations decide by themselves, at and near a position.
+        Return which rates the closure equations determine by themselves, at and near a position.
 
         ``derivatives`` returns those of the rates by the joints', shape (n, nv), at a position,
         which closes the loops. Returns bool, shape (n,), None where there are too many equations

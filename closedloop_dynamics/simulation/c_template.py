@@ -690,8 +690,8 @@ int @NAME@_work(
 
 # For the Jacobian of points and computed torque, where there is a degree of freedom.
 DECISION = """
-/* Rates of all joints by those of the freedoms of a table; returns whether these decide them. */
-static int decides(
+/* Rates of all joints by those of the freedoms of a table; returns whether these do. */
+static int determines(
   const @NAME@_model *model, const double *q, const int *table, double along[NI][NV])
 {
   static const double none[NC1] = {0.0};
@@ -763,7 +763,7 @@ int @NAME@_inverse(
   /* Accelerations are those without torques, and in proportion to these. */
   double unit[NV] = {0.0}, qdd[NV], lam[NC1], without[NI], by_torque[NI * NI], found[NI];
   double along[NI][NV];
-  if (!decides(model, state->q, @NAME@_actuated, along)) {
+  if (!determines(model, state->q, @NAME@_actuated, along)) {
     return @UPPER@_SINGULAR;
   }
   for (int n = -1; n < NI; ++n) {
@@ -870,7 +870,7 @@ int @NAME@_operational_space(
 MOVING = """
 /* Jacobian of the named points, POINTS SPACE rows of NI numbers: their velocities by the rates of
  * the freedoms of a table, such as _independent and _actuated, of as many as there are degrees of
- * freedom. SINGULAR where these do not decide the motion, or hardly. */
+ * freedom. SINGULAR where these do not determine the motion, or hardly. */
 int @NAME@_jacobian(
   const @NAME@_model *model, const double *q, const int *by, double *jacobian);
 """
@@ -880,7 +880,7 @@ int @NAME@_jacobian(
   const @NAME@_model *model, const double *q, const int *by, double *jacobian)
 {
   double along[NI][NV], velocities[PLACES];
-  if (!decides(model, q, by, along)) {
+  if (!determines(model, q, by, along)) {
     return @UPPER@_SINGULAR;
   }
   for (int n = 0; n < NI; ++n) {

@@ -6,7 +6,7 @@ A scene as a functional mock-up unit (FMI 2.0, 3.0): its C, a description, and a
 
 The unit is the C of ``c_source`` within the interface of ``fmu_template``. In model exchange its
 states are as many joint coordinates as there are degrees of freedom, and their rates; the other
-joints follow from the loops. Which ones they are changes, as an event, where others decide better.
+joints follow from the loops. An event takes others where they determine the motion better.
 """
 
 import hashlib

@@ -56,8 +56,8 @@ def dependent_on(jac, own, names):
     """
     Return the places of the other coordinates, shape (nc,), than the independent ones.
 
-    ``names`` of all coordinates are for the message of the ValueError, where those do not decide
-    all others.
+    ``names`` of all coordinates are for the message of the ValueError, where those do not
+    determine all others.
     """
     nc, nv = jac.shape
     if len(own) != nv - nc:
@@ -69,7 +69,7 @@ def dependent_on(jac, own, names):
         values = np.linalg.svd(jac[:, rest], compute_uv=False)
         if values[-1] <= RANK_TOLERANCE * np.linalg.norm(jac, 2):
             raise ValueError(
-                'independent: expected coordinates that decide all others, got '
+                'independent: expected coordinates that determine all others, got '
                 f'{", ".join(names[place] for place in own)}')
     return rest
 

@@ -168,7 +168,7 @@ class DrivingConstraints:
                 qd[self._coordinates.index[motion.freedom]] = rate
 
     def require_independent(self, assembler, q):
-        """Refuse, with AssemblyError, motions that the loops, or other motions, decide already."""
+        """Refuse, with AssemblyError, motions that the loops or other motions determine."""
         if not self:
             return
         jac = assembler.jacobian_of_largest_rank(q)

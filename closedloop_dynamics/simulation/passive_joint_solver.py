@@ -4,7 +4,7 @@
 """
 Whole positions and rates of a mechanism from those of some of its joints.
 
-A robot measures its drives; the loops decide where all other joints are. Of the positions that
+A robot measures its drives; the loops determine where all other joints are. Of the positions that
 close the loops the nearest to the measured ones is found, in the sense of weighted least squares:
 as many measured joints as there are degrees of freedom are met, more of them are balanced.
 

@@ -154,7 +154,7 @@ class Reduced:
         Raises
         ------
         SingularityError
-            By drives, where they do not decide the motion.
+            By drives, where they do not determine the motion.
         ValueError
 
         """
@@ -163,7 +163,7 @@ class Reduced:
         jac, _ = self.motion(task)
         if by == 'independent':
             return jac.copy()
-        self._require_regular(self.drives, 'the actuated joints do not decide the motion')
+        self._require_regular(self.drives, 'the actuated joints do not determine the motion')
         return jac @ np.linalg.pinv(self.drives)
 
     def condition(self, task: str) -> float:
@@ -196,7 +196,7 @@ class Reduced:
         Raises
         ------
         SimulationError
-            Where the task does not decide the motion, or cannot have this acceleration.
+            Where the task does not determine the motion, or cannot have this acceleration.
         ValueError
             For other shapes.
 
@@ -211,7 +211,7 @@ class Reduced:
         if wanted.shape != bias.shape or not np.isfinite(wanted).all():
             raise ValueError(f'acceleration: expected {len(bias)} finite numbers of {of}, got '
                              f'{acceleration!r}')
-        self._require_regular(jac, f'{of} does not decide the motion')
+        self._require_regular(jac, f'{of} does not determine the motion')
         found = np.linalg.lstsq(jac, wanted - bias, rcond=None)[0]
         missed = np.abs(jac @ found + bias - wanted).max(initial=0.0)
         if missed > RANK_TOLERANCE * np.abs(wanted - bias).max(initial=1.0):
@@ -236,8 +236,8 @@ class Reduced:
         Raises
         ------
         SimulationError
-            Where the task does not decide the motion, or cannot have this acceleration, and where
-            the actuated joints cannot produce it.
+            Where the task does not determine the motion, or cannot have this acceleration, and
+            where the actuated joints cannot produce it.
         ValueError
             For other shapes.
 
@@ -414,7 +414,7 @@ class Reduced:
             raise SingularityError(
                 f'reflected_inertia: expected as many actuated joints as degrees of freedom, '
                 f'{len(self._own)}, got {len(self.drives)}')
-        self._require_regular(self.drives, 'the actuated joints do not decide the motion')
+        self._require_regular(self.drives, 'the actuated joints do not determine the motion')
         inverse = np.linalg.inv(self.drives)
         return inverse.T @ self.inertia @ inverse
 

@@ -116,7 +116,7 @@ def find_second_order(mechanism, position):
     Returns
     -------
     SecondOrder or None
-        None where there are none, or they cannot be told from motions.
+        None where there are none, or they cannot be distinguished from motions.
 
     Raises
     ------

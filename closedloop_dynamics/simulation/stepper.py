@@ -38,7 +38,7 @@ _ARRAYS = {'q': 'q', 'qd': 'qd', 'tau': 'torque', 'next_q': 'next_q', 'next_qd':
 ENDS = {
     OPEN_LOOP: (ClosureError, 'the loops cannot be closed after the step: take smaller steps'),
     SINGULAR: (SingularityError, 'there is no derivative here: closure equations depend on one '
-               'another, or nearly, or the independent coordinates do not decide all others'),
+               'another, or nearly, or the independent coordinates do not determine all others'),
     POOR_EQUATIONS: (SingularityError, 'the closure equations that would have to be worked on '
                      'change within the step: take smaller steps'),
     NOT_FINITE: (NumericalError, 'the numbers grow beyond all bounds: take smaller steps')}
@@ -403,9 +403,9 @@ class Stepper:
         Raises
         ------
         SingularityError
-            Where the old ones do not decide all others there.
+            Where the old ones do not determine all others there.
         ValueError
-            For unknown names, and names that do not decide all others.
+            For unknown names, and names that do not determine all others.
 
         """
         places, reach, nv = places_of(self._names, independent), self._reach, len(self._names)
@@ -467,7 +467,7 @@ class Stepper:
         ClosureError
             Where the loops cannot be closed that far away.
         SingularityError
-            Where the independent coordinates do not decide all others.
+            Where the independent coordinates do not determine all others.
         ValueError
             For other shapes.
 

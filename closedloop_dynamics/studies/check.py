@@ -261,7 +261,7 @@ def _degrees_of_freedom(mechanism, simulation, found, start):
     if freedoms is None:
         return (f'not known: no position that closes the loops was found ({joints} joints, '
                 f'{equations} equations)')
-    # Motions that the loops or one another decide already are refused.
+    # Motions that the loops or one another determine already are refused.
     motions = 0 if simulation is None else len(simulation.mechanism.motions)
     independent = joints - freedoms - motions - forbidden
     several = 'joints' if joints == len(mechanism.joints) else 'of the joints'

@@ -95,7 +95,7 @@ def excite(scene, keys, period, amplitude=0.3, harmonics=3, evaluations=150, joi
     evaluations : int
         Motions tried, about.
     joints : sequence of str, optional
-        That decide all others; ``identification.measured_joints`` where not given.
+        That determine all others; ``identification.measured_joints`` where not given.
     seed : int
         Of the motions at random.
 

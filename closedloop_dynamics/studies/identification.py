@@ -49,8 +49,8 @@ from ..simulation.passive_joint_solver import PassiveJointError, PassiveJointSol
 # Columns, scaled to length one, are dependent below DEPENDENT; shares of others below NOTHING are
 # rounding; parameters whose torques are below UNSEEN of those of the largest have no influence.
 DEPENDENT, NOTHING, UNSEEN = 1e-8, 1e-7, 1e-11
-# Where independent coordinates decide the others by less, the motion is refused.
-UNDECIDED = 1e-6
+# Where independent coordinates determine the others by less, the motion is refused.
+UNDETERMINED = 1e-6
 # A parameter is identified where its standard deviation is below this share of it.
 IDENTIFIED = 0.1
 # Of intervals: how often they hold the true value.
@@ -605,26 +605,27 @@ class _Along:
                     f'{self.scene.mechanism.name}: expected a mechanism that moves, got one '
                     'without degrees of freedom')
             if self.own is None:
-                self._require_decided(basis)
+                self._require_determined(basis)
                 self.own = _choose(basis, places)
             part = basis[self.own]
             if part.shape[0] != part.shape[1] or np.linalg.svd(
-                    part, compute_uv=False)[-1] < UNDECIDED:
+                    part, compute_uv=False)[-1] < UNDETERMINED:
                 raise IdentificationError(
                     f'motion: sample {k} is in a singular position: '
-                    f'{", ".join(self.independent)} do not decide the motion of the others there')
+                    f'{", ".join(self.independent)} do not determine the motion of the others '
+                    'there')
             tangents.append(basis @ np.linalg.inv(part))
         self._tangents = np.array(tangents)
         self.levers = self._tangents[:, places].transpose(0, 2, 1)
 
-    def _require_decided(self, basis):
+    def _require_determined(self, basis):
         """Refuse a mechanism in which parts move freely, whatever the measured joints do."""
         index = self.scene.mechanism.coordinates.index
         measured = basis[[index[name] for name in self._joints]]
         open_ones = basis.shape[1] - rank_from(np.linalg.svd(measured, compute_uv=False))
         if open_ones:
             raise IdentificationError(
-                f'motion: expected joints that decide the motion of all others, got '
+                f'motion: expected joints that determine the motion of all others, got '
                 f'{", ".join(self._joints)}, which leave {open_ones} of {basis.shape[1]} degrees '
                 'of freedom open, such as the spin of a rod between two spherical joints: put a '
                 'universal joint at one end')

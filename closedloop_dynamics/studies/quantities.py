@@ -164,13 +164,13 @@ class Quantities:
         return len(self._variables)
 
     def number(self, key):
-        """Return a number of the scene, with derivatives by the others that decide it."""
+        """Return a number of the scene, with derivatives by the others that determine it."""
         keys = [one.key for one in self._variables]
         slope = np.zeros(len(keys))
         if key in keys:
             slope[keys.index(key)] = 1.0
         for k, one in enumerate(self._variables if key not in keys else ()):
-            # A parameter decides others.
+            # A parameter determines others.
             if one.key.startswith('parameters.'):
                 value = numbers(self._scene)[one.key]
                 step = STEP * max(abs(value), OF_RANGE * (one.high - one.low))

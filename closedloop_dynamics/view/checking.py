@@ -1,7 +1,7 @@
 # SPDX-FileCopyrightText: 2026 The closedloop_dynamics authors
 # SPDX-License-Identifier: Apache-2.0
 
-"""What is told of a scene while it is drawn: degrees of freedom, what repeats, what is wrong."""
+"""Findings on a scene while it is drawn: degrees of freedom, repeated equations, faults."""
 
 from dataclasses import replace
 import re
@@ -18,7 +18,7 @@ from ..simulation.second_order import count_forbidden
 
 def checked(text, name):
     """
-    Return what is to be told of the text of a scene, as JSON can.
+    Return the findings on the text of a scene, as JSON can.
 
     ``error``: why it cannot be simulated, or None; else ``freedoms``, those left when prescribed
     motions are at their values, ``driven``, how many these are, and ``words`` that say why.

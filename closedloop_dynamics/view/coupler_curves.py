@@ -24,7 +24,7 @@ def curves(mechanism, position, points):
 
     Of each, name and places [m], one after the other, in space. ``position``, shape (nq,), closes
     the loops; the other driven joints stay, and there is one curve, of the first point. Where the
-    joints that are driven do not decide the motion, there are none.
+    joints that are driven do not determine the motion, there are none.
     """
     names = mechanism.coordinates
     driven = [names.names[k] for k in names.actuated if names.place[k] >= 0]

@@ -359,7 +359,7 @@ class Words:
             now, q = now + change[:count], moved(q, change[count:])
             if largest <= SETTLED:
                 break
-        self._require_decided(leaves, np.concatenate(jacobians))
+        self._require_determined(leaves, np.concatenate(jacobians))
         if np.abs(levels(*at(now), q)[0]).max(initial=0.0) > SAME * size:
             raise FieldError(f'a place that {_named(leaves)} can bring it to with closed loops',
                              shown(wanted.tolist()), path=(name,))
@@ -379,7 +379,7 @@ class Words:
         return (self.scene.parameters[key[-1]] if key[-2] == 'parameters'
                 else float(self._place(key)))
 
-    def _require_decided(self, leaves, jacobian):
+    def _require_determined(self, leaves, jacobian):
         """Refuse parameters of which several values give the same places."""
         count = len(leaves)
         jacobian = jacobian / np.maximum(np.linalg.norm(jacobian, axis=0), SMALLEST)

@@ -199,7 +199,7 @@ def test_error_control_ends_at_a_limit_position_too():
         simulation.step(duration=3.0)
 
 
-def test_motions_that_decide_one_another_are_refused():
+def test_motions_that_determine_one_another_are_refused():
     crank, _, rocker = Simulation.from_scene('four_bar').position
     with pytest.raises(AssemblyError, match='not free to move as prescribed by'):
         moved('four_bar', crank_joint=f'{float(crank)!r} + 0*t',

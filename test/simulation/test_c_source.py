@@ -466,7 +466,7 @@ def test_control_by_drives_is_that_of_the_package(scene, command, options, tmp_p
 
 @compiled
 @pytest.mark.parametrize('angle', (0.0, 1e-10))
-def test_drives_that_do_not_decide_the_motion_are_reported(angle, tmp_path):
+def test_drives_that_do_not_determine_the_motion_are_reported(angle, tmp_path):
     # A slider that drives its crank, which it cannot move at a dead centre.
     text = (ROOT / 'config' / 'mechanisms' / 'slider_crank.yaml').read_text()
     text = text.replace(', actuated: true', '').replace(

@@ -242,7 +242,7 @@ def test_what_cannot_be_is_refused():
         one.jacobian(point, 'all')
     with pytest.raises(ValueError, match='acceleration: expected 3 finite numbers'):
         one.inverse([1.0, np.nan, 0.0])
-    with pytest.raises(cld.SingularityError, match='does not decide the motion'):
+    with pytest.raises(cld.SingularityError, match='does not determine the motion'):
         one.inverse([0.1, 0.2], of=point)
     with pytest.raises(ValueError, match='wrench: expected shape'):
         one.torque_of(point, [1.0])

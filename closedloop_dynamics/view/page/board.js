@@ -42,7 +42,7 @@ const BETWEEN_NODES = {
   geneva: (wheel, driver) => ['geneva', {wheel, driver, slots: 5}]};
 
 class Board {
-  // `host` checks and simulates: check(name, text) returns a promise of what is told, simulate(name, text);
+  // `host` checks and simulates: check(name, text) returns a promise of the findings, simulate(name, text);
   // `reads`: whether it takes text that the board cannot draw.
   constructor(host) {
     this.host = host;

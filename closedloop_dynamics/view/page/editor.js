@@ -125,7 +125,7 @@ class DrawnMachine {
     return {rows, cuts, couplings, springs: this.springs, forces, gravity};
   }
 
-  // What is told while it is drawn, as `view/checking.py` tells it.
+  // Findings while it is drawn, from `view/checking.py`.
   told() {
     const {equations} = this, {nv} = equations;
     if (!equations.correction()) throw new Error('expected masses that resist every motion');
