@@ -6,14 +6,34 @@
 from dataclasses import replace
 import inspect
 
+from closedloop_dynamics.mechanism.mechanism import Body, Joint, Mechanism, Point
 from closedloop_dynamics.simulation import rollout_run
 from closedloop_dynamics.simulation.errors import SimulationError
 from closedloop_dynamics.simulation.rollout import rollout
-from closedloop_dynamics.simulation.rollout_run import is_plain, QUANTITIES
+from closedloop_dynamics.simulation.rollout_run import fits_simd, is_plain, QUANTITIES, TimeGrid
 from closedloop_dynamics.simulation.scene import load_scene
 from closedloop_dynamics.simulation.simulation import Simulation
 import numpy as np
 import pytest
+
+from ..reference import spatial_machines
+from ..simulation.test_orientations import scene as scene_of
+
+
+def linkage(**method):
+    """Return the scene of an RSSR four-bar with a driven crank and a ball in its tree."""
+    mechanism, _ = spatial_machines.rssr_four_bar()
+    return scene_of(
+        replace(mechanism, points=(Point('middle', 'rod', (0.1, 0.1, 0.1)),)), **method)
+
+
+def flyer(**method):
+    """Return the scene of a free body with a driven ball."""
+    body = Body('hull', 1.0, (0.1, 0.0, 0.05), (0.02, 0.03, 0.04))
+    mechanism = Mechanism('flyer', (body, replace(body, name='arm')), (
+        Joint('hull', 'free', 'ground', 'hull', (0.0, 0.0, 0.0)),
+        Joint('ball', 'spherical', 'hull', 'arm', (0.2, 0.0, 0.0), actuated=True)))
+    return scene_of(mechanism, velocity={'hull': {'angular_velocity': (1.0, 2.0, 3.0)}}, **method)
 
 
 def one_by_one(scene, torques, steps, every, start=None, step_size=None):
@@ -67,6 +87,23 @@ def test_results_are_those_of_single_simulations(name):
     assert result.failures == {}
     assert_same(result, one_by_one(scene, torques, 24, 3))
     np.testing.assert_array_equal(result.time, scene.method.step_size * np.arange(0, 25, 3))
+
+
+@pytest.mark.parametrize('build, method', [
+    (linkage, {'integrator': 'rk4'}),
+    (linkage, {'integrator': 'semi_implicit_euler', 'stabilisation': 'velocity_projection',
+               'step_size': 1e-6}),
+    (flyer, {'integrator': 'rk4'}), (linkage, {})],
+    ids=['linkage', 'linkage-euler', 'flyer', 'linkage-auto'])
+def test_results_in_space_are_those_of_single_simulations(build, method):
+    made = build(**method)
+    simulation = Simulation(made)
+    # Side by side in a vector, and one that is left over.
+    assert fits_simd(simulation, TimeGrid(simulation.step_size, 12, 6, 3)) == bool(method)
+    torques = torques_for(made, 9, 2, 0.02)
+    result = simulation.rollout(torques, steps=12, every=3, quantities=QUANTITIES, threads=1)
+    assert result.failures == {} and result.position.shape[-1] == simulation.coordinates.nq
+    assert_same(result, one_by_one(made, torques, 12, 3))
 
 
 SLOW_TO_COMPILE = [{'stabilisation': 'independent'},
@@ -173,20 +210,29 @@ def test_the_number_of_threads_changes_nothing():
         assert_same(result, {name: getattr(results[0], name) for name in QUANTITIES})
 
 
-def test_samples_start_where_they_are_told_to():
-    scene = load_scene('three_rrr')
-    rng = np.random.default_rng(2)
-    position = np.array(scene.initial.position) + rng.uniform(-0.02, 0.02, (3, 7))
-    velocity = rng.normal(size=(3, 7))
-    torques = torques_for(scene, 3, 5)
+@pytest.mark.parametrize('build, size', [(lambda: load_scene('three_rrr'), 2.0),
+                                         (lambda: linkage(integrator='rk4'), 0.02)],
+                         ids=['three_rrr', 'linkage'])
+def test_samples_start_at_states_of_their_own(build, size):
+    scene = build()
+    names, rng = scene.mechanism.coordinates, np.random.default_rng(2)
+    position = np.array([names.moved(np.array(scene.initial.position), change)
+                         for change in rng.uniform(-0.02, 0.02, (3, names.nv))])
+    velocity = 0.5 * size * rng.normal(size=(3, names.nv))
+    torques = torques_for(scene, 3, 5, size)
     result = Simulation(scene).rollout(torques, position, velocity, quantities=QUANTITIES)
     assert_same(result, one_by_one(scene, torques, 5, 1, (position, velocity)))
     assert result.closure.max() < 1e-11
+    if names.nq > names.nv:
+        position[1, -4:] *= 2.0
+        failed = Simulation(scene).rollout(torques, position, velocity)
+        assert list(failed.failures) == [1] and 'a unit quaternion' in failed.failures[1]
+        np.testing.assert_array_equal(failed.position[[0, 2]], result.position[[0, 2]])
 
 
 @pytest.mark.parametrize('method', [{}, {'integrator': 'rk4'}, {'integrator': 'rodas4'}],
                          ids=lambda method: method.get('integrator', 'auto'))
-def test_samples_start_where_they_all_are_told_to(stepped, method):
+def test_samples_start_at_a_state_they_share(stepped, method):
     scene = load_scene('carpet_scraper_dry')
     scene = replace(scene, method=replace(scene.method, **method))
     moving = Simulation(scene)
@@ -206,23 +252,27 @@ def test_velocities_alone_start_from_the_position_of_the_scene():
     np.testing.assert_array_equal(result.position[:, 0, 0], scene.initial.position[0])
 
 
-def test_parameters_are_those_of_changed_scenes():
-    scene = load_scene('three_rrr')
-    masses, gravity = np.array([2.0, 5.0, 11.0]), -1.62
-    body = next(body for body in scene.mechanism.bodies if body.name == 'platform')
+@pytest.mark.parametrize('build, changed, size', [
+    (lambda: load_scene('three_rrr'), 'platform', 2.0),
+    (lambda: linkage(integrator='rk4'), 'rod', 0.02)], ids=['three_rrr', 'linkage'])
+def test_parameters_are_those_of_changed_scenes(build, changed, size):
+    scene, gravity = build(), -1.62
+    body = next(body for body in scene.mechanism.bodies if body.name == changed)
+    masses = body.mass * np.array([0.4, 1.0, 2.2])
 
-    def build(sample):
+    def of_sample(sample):
         bodies = tuple(replace(body, mass=masses[sample]) if each is body else each
                        for each in scene.mechanism.bodies)
-        acceleration = (0.0, gravity)
+        acceleration = (0.0, gravity, *scene.effects['gravity'].acceleration[2:])
         return replace(
             scene, mechanism=replace(scene.mechanism, bodies=bodies),
             effects={'gravity': replace(scene.effects['gravity'], acceleration=acceleration)})
 
-    torques = torques_for(scene, 3, 20)
+    torques = torques_for(scene, 3, 20, size)
     result = Simulation(scene).rollout(torques, quantities=QUANTITIES, parameters={
-        'mechanism.bodies.platform.mass': masses, 'effects.gravity.acceleration.1': gravity})
-    assert_same(result, one_by_one(build, torques, 20, 1))
+        f'mechanism.bodies.{changed}.mass': masses, 'effects.gravity.acceleration.1': gravity})
+    assert_same(result, one_by_one(of_sample, torques, 20, 1))
+    assert np.ptp(result.position[:, -1, 0]) > 1e-9
 
 
 def test_present_effects_count_and_nothing_of_the_simulation_changes():
@@ -242,7 +292,7 @@ def test_present_effects_count_and_nothing_of_the_simulation_changes():
     assert not np.array_equal(result.position, Simulation(scene).rollout(duration=0.02).position)
 
 
-def test_a_sample_that_fails_is_told_of_and_harms_no_other():
+def test_a_sample_that_fails_is_reported_and_harms_no_other():
     scene = load_scene('four_bar')
     torques = torques_for(scene, 4, 40)
     torques[1, 20:] = 3e6

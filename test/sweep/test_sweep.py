@@ -18,6 +18,8 @@ from closedloop_dynamics.sweep.storage import StorageError
 import numpy as np
 import pytest
 
+from .test_rollout import linkage
+
 MASS = 'mechanism.bodies.crank.mass'
 PROGRAM = (sys.executable, '-m', 'closedloop_dynamics.cli')
 SUFFIXES = ['.nc', '.zarr']
@@ -44,9 +46,14 @@ def some(count):
     return lambda: next(asked, False)
 
 
-def test_results_are_those_of_single_simulations(netcdf):
-    scene = load_scene('three_rrr')
-    torques = np.random.default_rng(0).normal(size=(3, 10, 3))
+@pytest.mark.parametrize('build, size', [(lambda: load_scene('three_rrr'), 1.0),
+                                         (lambda: linkage(integrator='rk4'), 0.02)],
+                         ids=['three_rrr', 'linkage'])
+def test_results_are_those_of_single_simulations(netcdf, build, size):
+    scene = build()
+    across = scene.effects['gravity'].acceleration[2:]
+    torques = np.random.default_rng(0).normal(
+        0.0, size, (3, 10, len(scene.mechanism.actuated_joints)))
     sweep(scene, {'effects.gravity.acceleration.1': [-9.81, -1.62, 0.0]}, netcdf, duration=0.1,
           torques=torques, workers=1,
           keep=('position', 'constraint_forces', 'joint_forces', 'points', 'energy'))
@@ -54,8 +61,8 @@ def test_results_are_those_of_single_simulations(netcdf):
     assert data['status'].tolist() == [1, 1, 1]
     np.testing.assert_array_equal(data['time'], np.arange(11) / 100)
     for sample, gravity in enumerate((-9.81, -1.62, 0.0)):
-        simulation = Simulation.from_scene('three_rrr')
-        simulation.set_effect('gravity', acceleration=[0.0, gravity])
+        simulation = Simulation(scene)
+        simulation.set_effect('gravity', acceleration=[0.0, gravity, *across])
         simulation.reset()
         forces, initial = [], simulation.energy
         for instant in range(11):
@@ -69,7 +76,7 @@ def test_results_are_those_of_single_simulations(netcdf):
         assert data['initial_energy'][sample] == initial
         np.testing.assert_array_equal(
             data['peak_force'][sample],
-            np.hypot(*np.moveaxis(np.array(forces)[:, :, 1:], 2, 0)).max(axis=0))
+            np.linalg.norm(np.array(forces)[:, :, 3 if across else 1:], axis=2).max(axis=0))
         assert 0.0 < data['peak_closure'][sample] < 1e-11
 
 
