@@ -2,7 +2,7 @@
 # SPDX-License-Identifier: Apache-2.0
 
 """
-A machine and its live twin: what encoders with noise and delay tell of a load that is not known.
+A machine and its live twin: an unknown load, found from encoders with noise and delay.
 
     ros2 launch closedloop_dynamics estimation.launch.py
     ros2 launch closedloop_dynamics estimation.launch.py rviz:=true

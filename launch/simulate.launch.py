@@ -28,7 +28,7 @@ import yaml
 PACKAGE = 'closedloop_dynamics'
 # Modes of the torque source that look at no states.
 OPEN_LOOP = {'constant', 'sine'}
-# Name, default and meaning of what is no parameter of the simulator.
+# Name, default and meaning of what is not a parameter of the simulator.
 ARGUMENTS = (
     ('drive', '', 'what drives it: a name in config/controllers, or the path of a '
      'parameter file for both nodes, which then says the scene, too; empty: nothing'),

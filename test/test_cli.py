@@ -315,7 +315,7 @@ def test_a_full_disk_is_named(capsys):
     ('replay none --picture x.docx', '--picture: expected a name that ends with'),
     ('identify run.csv four_bar --vary mechanism.bodies --picture x.docx',
      '--picture: expected a name that ends with'),
-    ('recover none', 'recover is no command any more'),
+    ('recover none', 'recover is no longer a command'),
     ('stability --quick', 'python benchmark/stability.py --help'),
     ('mirror four_bar', 'doc/examples/derived_machines mirror'),
     ('view four_bar --save no/x.html', '--save'),

@@ -456,7 +456,7 @@ initial: {position: {crank_joint: 0.0, lever_joint: 1.19}, hold: [crank_joint]}
 
 
 def test_a_linkage_that_does_not_return_is_told(tmp_path, capsys):
-    # Of two cranks geared three to two a turn of the one is no turn of the other.
+    # Of two cranks geared three to two a turn of the one is not a turn of the other.
     scene = tmp_path / 'scene.yaml'
     scene.write_text(GEARED)
     page = tmp_path / 'page.html'

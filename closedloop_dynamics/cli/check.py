@@ -64,8 +64,8 @@ def _require_finite(simulation):
     """Refuse a start whose numbers, each possible, overflow together."""
     if not np.isfinite([simulation.energy, *simulation.acceleration]).all():
         raise NumericalError(
-            'The energy or the accelerations at the start are no finite numbers: look for masses, '
-            'lengths or parameters of effects that are far too large, or next to nothing.')
+            'The energy or the accelerations at the start are not finite numbers: look for '
+            'masses, lengths or parameters of effects that are far too large, or next to nothing.')
 
 
 COMMAND = Command(

@@ -79,7 +79,7 @@ def run(argv):
         import argcomplete
         argcomplete.autocomplete(whole)
     if words and words[0] in GONE:
-        whole.error(f'{words[0]} is no command any more: {GONE[words[0]]}')
+        whole.error(f'{words[0]} is no longer a command: {GONE[words[0]]}')
     arguments, unknown = whole.parse_known_args(argv)
     if unknown:
         arguments.refuse(f'unrecognized arguments: {" ".join(unknown)}')

@@ -119,7 +119,7 @@ def value_of(text):
 
 
 def _value(text):
-    """Return a number and its unit or None; None where the text is no number."""
+    """Return a number and its unit or None; None where the text is not a number."""
     unit = next((unit for unit in UNITS if text.endswith(unit)), None)
     try:
         number = float(text.removesuffix(unit) if unit else text)

@@ -235,7 +235,7 @@ COMMAND = Command(
 Vary numbers of a scene within ranges so that an expression of its quantities over a driven
 motion becomes least, under requirements; of two expressions, find the Pareto front. Several
 starts are gone through by SciPy's optimisers (least_squares, SLSQP) with derivatives. A machine
-that cannot be assembled, or not be driven all the way, is no result, and counted.
+that cannot be assembled, or not be driven all the way, is not a result; their number is reported.
 
 Expressions are arithmetic (+ - * / **, sqrt, abs, sin, ...) of numbers (with units deg, rad, mm,
 m), numbers of the scene (parameters.l) and, over the motion:

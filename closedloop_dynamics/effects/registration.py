@@ -28,7 +28,7 @@ def register(name, record_type):
     Raises
     ------
     FieldError
-        Where it is no such class, or the name is not free.
+        Where it is not such a class, or the name is not free.
 
     """
     with at('type'):

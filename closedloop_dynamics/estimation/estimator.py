@@ -420,7 +420,7 @@ class Estimator:
     def observability(self, torques: Any = None, duration: float = 1.0,
                       period: float = 0.01) -> Observability:
         """
-        Return what the sensors can tell of the state and the unknowns along a motion from now on.
+        Return what the sensors can show of the state and the unknowns along a motion from now on.
 
         Parameters
         ----------

@@ -13,7 +13,7 @@ The mean makes the steps of the engine, and is moved along the manifold by corre
 dependent coordinates closing the loops. Where readings are nonlinear, the update is iterated
 (Gauss and Newton's method; Bell and Cathey 1993).
 
-Suspects are changes f that are not estimated: a signature s tells how the error of the estimate
+Suspects are changes f that are not estimated: a signature s is how the error of the estimate
 would follow f, s' = F s + D f, and g = H s + H_f what innovations it would leave, s = s' - K g
 (generalised likelihood ratio; Willsky and Jones 1976). With the innovations v, of covariance S,
 the likeliest f is (sum g^T S^-1 v) / (sum g^T S^-1 g).

@@ -2,7 +2,7 @@
 # SPDX-License-Identifier: Apache-2.0
 
 """
-What sensors can tell of a motion and of unknown numbers, before anything is measured.
+What sensors will show of a motion and of unknown numbers, before anything is measured.
 
 Along a motion, changes e of the state and of the numbers at its start change the readings by
 H_k Phi_k e, with Phi the product of the Jacobians of the steps. In units of the noise, columns of
@@ -28,7 +28,7 @@ DEPENDENT, NOTHING, UNSEEN = 1e-8, 1e-6, 1e-6
 def observability(filtering: Filter, now: Now, names: Sequence[str], torques: np.ndarray,
                   duration: float, period: float) -> Observability:
     """
-    Return what the sensors tell along a motion from a belief on.
+    Return what the sensors show along a motion from a belief on.
 
     Parameters
     ----------
@@ -63,7 +63,7 @@ def observability(filtering: Filter, now: Now, names: Sequence[str], torques: np
 
 
 def _observability(factor: np.ndarray, typical: np.ndarray, names: Sequence[str]) -> Observability:
-    """Return what rows in units of their noise tell, of which that is the triangular factor."""
+    """Return what rows in units of their noise show, of which that is the triangular factor."""
     lengths = np.linalg.norm(factor, axis=0)
     seen = lengths * typical > UNSEEN
     places = np.flatnonzero(seen)

@@ -206,7 +206,7 @@ class Consistency:
 @dataclass(frozen=True)
 class Observability:
     """
-    What sensors can tell along a motion.
+    What sensors can show along a motion.
 
     Attributes
     ----------

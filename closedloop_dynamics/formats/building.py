@@ -85,7 +85,7 @@ def mechanism_of(model, end_stops=None, mend_inertias=False, tolerance=TOLERANCE
     Limits of joints become end stops of the stiffness ``end_stops`` [N m/rad or N/m], if given.
     Where ``mend_inertias``, moments of inertia of which one is larger than the sum of the other
     two are changed by as little as makes them possible, not refused. ``tolerance`` as of a
-    Mechanism. MechanismError where it is no mechanism, with the element of the file.
+    Mechanism. MechanismError where it is not a mechanism, with the element of the file.
     """
     ignored, omitted = dict(model.ignored), list(model.omitted)
     model.check()
@@ -140,7 +140,7 @@ def _upright(joint):
 
 
 def _bounded(joint):
-    """Return a joint without limits that are none."""
+    """Return a joint without limits that limit nothing."""
     return replace(joint, **{
         key: None for key in ('lower', 'upper', 'effort', 'speed')
         if getattr(joint, key) is not None and abs(getattr(joint, key)) >= NO_LIMIT})
@@ -311,7 +311,7 @@ def _inertia_of(link, largest, mend, ignored):
     if moments[0] > -rounding:
         moments = np.maximum(moments, 0.0)
     beyond = moments[2] - moments[0] - moments[1]
-    # The least change in the sum of squares; a negative moment is no matter of rounded digits.
+    # The least change in the sum of squares; a negative moment is not a matter of rounded digits.
     mended = moments + max(beyond, 0.0) / 3.0 * np.array([1.0, 1.0, -1.0])
     if moments[0] < 0.0 or not (mend or beyond < rounding):
         hint = '' if moments[0] < 0.0 else MEND.format(moments_text(mended))

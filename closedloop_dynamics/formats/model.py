@@ -25,7 +25,7 @@ from ..mechanism.mechanism import FIXED, GROUND, JOINT_FREEDOMS, MechanismError
 MOMENTS = ('ixx', 'iyy', 'izz', 'ixy', 'ixz', 'iyz')
 # Standard gravity of formats that leave it to the simulator [m/s^2].
 GRAVITY = (0.0, 0.0, -9.81)
-# Limits of coordinates and drives from here on are none [SI units].
+# Limits of coordinates and drives from here on limit nothing [SI units].
 NO_LIMIT = 1e9
 # Why geometry for contacts is left out.
 NO_CONTACTS = 'bodies pass through each other'

@@ -34,7 +34,7 @@ TYPES = {'revolute': REVOLUTE, 'continuous': REVOLUTE, 'prismatic': PRISMATIC, '
 GEARBOX = 'gearbox'
 # Types whose limit of effort shows whether they are driven.
 DRIVEN = (REVOLUTE, PRISMATIC, HELICAL, UNIVERSAL)
-# Limits beyond this are none.
+# Limits beyond this limit nothing.
 ENDLESS = 1e15
 # Of joints in files of another format: of the converters that read them.
 JOINTS_ALONE = (1, 7)

@@ -317,7 +317,7 @@ def _ball_constraint(element, name):
 
 
 def _stand(model, robot):
-    """Put the root link on the ground; raise where the links are no tree."""
+    """Put the root link on the ground; raise where the links form no tree."""
     carried = {}
     for joint in model.joints.values():
         if joint.closes:

@@ -98,7 +98,7 @@ def places_of_packages(folder):
 
 
 def _is_file(path):
-    """Return whether there is a file; a name that is too long is none."""
+    """Return whether there is a file; a name that is too long names none."""
     try:
         return path.is_file()
     except (OSError, ValueError):

@@ -102,7 +102,7 @@ class JointEffects:
     Raises
     ------
     MechanismError
-        Where something acts at a cut joint, which is no joint of other formats.
+        Where something acts at a cut joint, which is not a joint of other formats.
 
     """
 

@@ -150,7 +150,7 @@ def read_xml(path, root, text=None):
     Read an XML file, whose outermost element is one of ``root``; return that element.
 
     ``text``: that of the file, where it was read before. MechanismError where it cannot be read,
-    is no XML or larger than a model should be.
+    is not XML or larger than a model should be.
     """
     content = read_bytes(path) if text is None else text
     if len(content) > MOST_BYTES:

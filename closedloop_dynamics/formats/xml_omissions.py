@@ -115,7 +115,7 @@ def _speaks(element, above):
     if parent not in SPEAKING or len(above) < 2 or above[-2].tag not in ABOVE or (
             tag in HARMLESS or tag in WHERE_NEEDED.get(parent, ())):
         return False
-    # A pose where none belongs says nothing if it is none.
+    # A pose where none belongs says nothing if it is zero.
     numbers = ' '.join((element.text, *element.attributes.values()))
     return tag not in POSES or any(map(float, NUMBER.findall(numbers)))
 

@@ -6,7 +6,7 @@ Names and places of the numbers of a state: coordinates q and rates qd, by joint
 
 Joints come in the mechanism's order. A joint of one freedom has one coordinate and one rate, both
 called by its name. A universal or cylindrical joint has two, called ``JOINT.1`` and ``JOINT.2``, a
-planar one ``JOINT.x``, ``JOINT.y`` and ``JOINT.angle``, a pin in a slot, which is no joint of a
+planar one ``JOINT.x``, ``JOINT.y`` and ``JOINT.angle``, a pin in a slot, which is not a joint of a
 tree, ``JOINT.x`` and ``JOINT.angle``. The orientation of a spherical or free
 joint is a unit quaternion x, y, z, w of the child's axes in the joint's frame; its rates are the
 angular velocity relative to the parent, about the child's axes. A free joint has its position x,
@@ -51,7 +51,7 @@ EITHER = {quantity: ' or '.join(units) for quantity, units in QUANTITIES.items()
 # Their names for a rotation.
 OF_ROTATIONS = {'position': 'orientation', 'velocity': 'angular_velocity',
                 'acceleration': 'angular_acceleration', 'effort': 'torque'}
-# The part of a quantity of a free joint that is no rotation has the quantity's own name.
+# The part of a quantity of a free joint that is not a rotation has the quantity's own name.
 _CHECKS = {'position': orientation, 'velocity': vector3}
 
 

@@ -15,7 +15,7 @@ from .mechanism import GROUND, REVOLUTE
 
 
 def measured(mechanism, coupling):
-    """Return the cut joints of a coupling whose coordinates are no sums of those of the tree."""
+    """Return the cut joints of a coupling whose coordinates are not sums of those of the tree."""
     return [cut for cut in mechanism.cut_joints if cut.name in coupling.joints
             and not (mechanism.planar and cut.type == REVOLUTE)]
 
@@ -53,7 +53,7 @@ def coupling_scales(mechanism):
     """
     Return the scales of the multipliers of couplings, shape (number of couplings,).
 
-    Those of a cut joint whose coordinate is no sum of those of the tree are written for that
+    Those of a cut joint whose coordinate is not a sum of those of the tree are written for that
     coordinate, without its factor.
     """
     found = [measured(mechanism, one) for one in mechanism.couplings]

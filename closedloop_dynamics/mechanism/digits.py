@@ -27,7 +27,7 @@ from .rotations import about, angle_of, cross, of_quaternion, quaternion_of
 # the rounding of numbers that were written with all digits, after a chain of many joints.
 EXACT = 1e-13
 # Everyday rounding: 1.5708 for a right angle. What agrees to it, but not to the tolerance, is
-# told.
+# reported.
 EVERYDAY = 1e-5
 MOST_ROUNDS = 10
 # So many joints are named.

@@ -89,7 +89,7 @@ class Parameters:
         Return a value with numbers in the place of expressions, in lists and mappings, too.
 
         ``unit`` is that of its numbers, such as ``m`` or ``rad; m``, or a tuple with one for each
-        item of a list; None where any will do. Text that is no expression stays as it is, for the
+        item of a list; None where any will do. Other text stays as it is, for the
         checks to refuse. FieldError where an expression has no finite value, an unknown name, or
         units of something else.
         """
@@ -146,7 +146,7 @@ class Parameters:
             raise FieldError(f'{only} [{unit}]', f'{shown(text)}, {quantity}')
 
     def _number(self, text):
-        """Return the value of an expression; the text itself where it is none."""
+        """Return the value of an expression; or the text itself where it is not one."""
         text = without_units(text)
         root = parsed(text)
         names = [node.id for node in ast.walk(root) if isinstance(node, ast.Name)] if root else []
@@ -207,7 +207,7 @@ def value_of(text, known, functions, expected, takes=FUNCTIONS):
 
     ``known``: values of names, beside CONSTANTS; ``functions``: by the names in ``takes``, which
     says how many operands each may take; ``expected``: the kind of expression, for messages.
-    FieldError where it is none, names something else, or has no finite value.
+    FieldError where it is not one, names something else, or has no finite value.
     """
     root, known = parsed(text), {**known, **CONSTANTS}
     if root is None:

@@ -302,7 +302,7 @@ def _records(
 
 
 def _evaluated(shapes: Any, parameters: Parameters) -> Any:
-    """Return shapes with numbers in the place of expressions; paths of meshes are none."""
+    """Return shapes with numbers in the place of expressions; paths of meshes stay."""
     if not isinstance(shapes, list):
         return shapes
     found = []

@@ -69,7 +69,7 @@ def _tolerance(value):
     result = not_negative(value)
     if result > LARGEST_TOLERANCE:
         raise FieldError(f'a number from 0 to {LARGEST_TOLERANCE:g}', shown(value),
-                         'what differs by more is no matter of digits')
+                         'a larger difference is not a matter of digits')
     return result
 
 
@@ -189,7 +189,7 @@ def validate_mechanism(mechanism, source=None):
     Check a mechanism that was built in Python by the rules of those read from files.
 
     Returns an equal one with every number a float and every list a tuple. ``source`` is its name
-    in error messages; its own name by default. MechanismError where it is no mechanism.
+    in error messages; its own name by default. MechanismError where it is not a mechanism.
     """
     with _of(source or f'mechanism {getattr(mechanism, "name", mechanism)!r}'):
         return checked(mechanism)
@@ -370,7 +370,7 @@ def _check_couplings(mechanism):
         found = [cut.name for cut in measured(mechanism, coupling)]
         if len(found) > 1:
             raise FieldError(
-                'one cut joint at most whose coordinate is no sum of those of the tree',
+                'one cut joint at most whose coordinate is not a sum of those of the tree',
                 f'{", ".join(found)}', 'cut other joints of these loops',
                 ('couplings', coupling.name, 'joints'))
         if coupling.law is not None:

@@ -189,7 +189,7 @@ def _mcap_messages(path, whole):
 
 
 def _database_messages(path):
-    """Yield the messages of a database; what was not committed when it was killed is no part."""
+    """Yield the messages of a database; without what was not committed when it was killed."""
     with closing(sqlite3.connect(f'file:{quote(str(path))}?mode=rw', uri=True)) as database:
         definitions = dict(database.execute(
             'SELECT topic_type, encoded_message_definition FROM message_definitions'))

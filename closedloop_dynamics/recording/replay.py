@@ -13,7 +13,7 @@ from ..simulation.simulation import Simulation
 from ..visual.tables import short, text_table
 from ..visual.trajectory import magnitudes, Trajectory
 
-# Beyond this share of a step, a time is no multiple of it.
+# Beyond this share of a step, a time is not a multiple of it.
 STAMP_ROUNDING = 1e-6
 # Added to the coordinates at each start of a second replay, to see how differences grow [rad, m].
 PERTURBATION = 1e-12

@@ -68,6 +68,6 @@ class RosBag:
                 message = deserialize_message(
                     data, getattr(import_module(f'{package}.msg'), kind))
             except (ImportError, AttributeError, RuntimeError) as error:
-                self.damages.append(f'{name} at {time} ns: it is no {types[name]} ({error})')
+                self.damages.append(f'{name} at {time} ns: it is not a {types[name]} ({error})')
                 continue
             yield name, time, message

@@ -189,7 +189,7 @@ def run(simulation, duration, rate, torque=None, *, report, on_row, keep_going=l
     """
     Advance a simulation under constant torques, with a row at every multiple of ``1 / rate``.
 
-    The time between two rows is covered by whole steps; where it is no multiple of the step
+    The time between two rows is covered by whole steps; where it is not a multiple of the step
     size, the last of them is shorter. The energy balance is looked at once more at the end.
 
     Parameters

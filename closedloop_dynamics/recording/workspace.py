@@ -46,7 +46,7 @@ FORMAT = 1
 
 
 class WorkspaceFileError(ValueError):
-    """A file that is no map, or that of another one."""
+    """A file that is not a map, or that of another one."""
 
 
 @dataclass(frozen=True)
@@ -605,7 +605,7 @@ def _curves(platform, state, jacobian):
 
 
 def read(file):
-    """Return the arrays of a map's file by name; WorkspaceFileError where it is no map."""
+    """Return the arrays of a map's file by name; WorkspaceFileError where it is not a map."""
     from scipy.io import netcdf_file
     try:
         with netcdf_file(file, 'r', mmap=False) as found:

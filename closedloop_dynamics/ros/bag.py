@@ -158,7 +158,7 @@ class BagWriter:
 
 
 def _reason(error):
-    """Return what an exception says, with its kind where that is no error of the system."""
+    """Return what an exception says, with its kind where that is not an error of the system."""
     if isinstance(error, OSError):
         return error.strerror or error
     return f'{type(error).__name__}: {error}'

@@ -269,14 +269,15 @@ class Lockstep(_Periodic):
 
 def period_steps(rate, step_size):
     """
-    Return the steps in a publishing period; raise ValueError where it is no whole number.
+    Return the steps in a publishing period; raise ValueError where it is not a whole number.
 
     ``rate`` is in periods per simulated second [Hz], ``step_size`` in s.
     """
     steps = round(1.0 / (rate * step_size))
     if steps < 1 or abs(steps * rate * step_size - 1.0) > 1e-9:
         raise ValueError(
-            f'publish_rate {rate:g} Hz: a period of {1.0 / rate:g} s is no whole number of steps '
+            f'publish_rate {rate:g} Hz: a period of {1.0 / rate:g} s is not a whole number of '
+            'steps '
             f'of {step_size:g} s, which this mode needs; {1.0 / (max(steps, 1) * step_size):.10g} '
             'Hz would do')
     return steps

@@ -66,7 +66,7 @@ class Parameter(Setting):
         return descriptor
 
     def require_choice(self, value):
-        """Raise ValueError if a value of the right type is none of the choices."""
+        """Raise ValueError if a value of the right type is not one of the choices."""
         if self.choices and value not in self.choices:
             raise ValueError(f"parameter '{self.name}': expected one of {self._choices()}; "
                              f"got '{value}'")

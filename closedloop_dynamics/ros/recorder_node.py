@@ -30,7 +30,7 @@ MEGABYTE = 1e6
 LAST_CALL = 0.5
 
 # Published where joints are spherical or free, and with couplings or prescribed motions: that they
-# are missing is no fault.
+# are missing is not a fault.
 RARE = ('multi_dof_joint_states', 'coupling_forces', 'tooth_forces', 'motion_forces',
         'motion_command')
 

@@ -79,7 +79,7 @@ SIMULATOR_PARAMETERS = (
         'machines.', read_only=False),
     Parameter(
         'scheduling_priority', 0,
-        'Priority among real-time processes (SCHED_FIFO), before all others; 0: it is none. The '
+        'Priority among real-time processes (SCHED_FIFO), before all others; 0: none. The '
         'user must be allowed to (ulimit -r).', (0, 99)),
     Parameter(
         'step_count', 1,

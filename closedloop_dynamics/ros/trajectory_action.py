@@ -58,8 +58,8 @@ class TrajectoryAction:
             found[key] = np.full((2, len(self._joints)), np.inf)
             for each in given:
                 if each.name not in self._joints:
-                    raise TrajectoryError(f"{key}_tolerance: '{each.name}' is none of the joints "
-                                          f'{", ".join(self._joints)}')
+                    raise TrajectoryError(f"{key}_tolerance: '{each.name}' is not one of the "
+                                          f'joints {", ".join(self._joints)}')
                 for row, value in enumerate((each.position, each.velocity)):
                     if value > 0.0:
                         found[key][row, self._joints.index(each.name)] = value

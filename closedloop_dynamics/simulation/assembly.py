@@ -558,7 +558,7 @@ class Assembler:
                 f'or none can be followed. {self._beside(hold)}']
 
     def _notes_on_lock(self, q):
-        """Return a note where couplings lock the mechanism, which is no error otherwise."""
+        """Return a note where couplings lock the mechanism, which is not an error otherwise."""
         if not self.mechanism.couplings or self.nc > MOST_EQUATIONS:
             return []
         rank, _ = self._largest_rank(q)

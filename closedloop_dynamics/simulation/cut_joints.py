@@ -150,7 +150,7 @@ class CutJoints:
         return out[len(qdd):].copy()
 
     def place(self, name):
-        """Return the place of a freedom among the names; None where it is none of them."""
+        """Return the place of a freedom among the names; None where it is not one of them."""
         return self.names.index(name) if name in self.names else None
 
     def add_efforts(self, body, efforts, wrenches):

@@ -336,7 +336,7 @@ class Data:
         return self.qd.copy()
 
     def snapshot(self) -> State:
-        """Return the present state; torques and the memory of a method are no part of it."""
+        """Return the present state; torques and the memory of a method are not part of it."""
         return State(self.time, self.q, self.qd, self.own, self.coordinates)
 
     def require_state(self, state: State) -> None:

@@ -329,7 +329,7 @@ class DrivenKinematics:
         where = f'{where}, at {place},' if where else f'The branch ends at {place}: this'
         if motion is None:
             return BranchEnd(values, self.position.copy(), UNCLEAR, (
-                f'{where} is no singular position, but no position that closes the loops was '
+                f'{where} is not a singular position, but no position that closes the loops was '
                 'found next to it.'))
         names = moving_joints(self.coordinates, motion)
         share = np.abs(left[len(loops):]).max()

@@ -429,7 +429,7 @@ def _parameters(simulation):
 
     Each is varied alone, and the arrays of the model are looked at: numbers that are exactly 0,
     and in space moments that are equal, have to stay so. What depends otherwise, such as the
-    inertia on the centre of mass, is no parameter.
+    inertia on the centre of mass, is not a parameter.
     """
     before, found, planar = _arrays(simulation), [], simulation.mechanism.planar
     for key, value in numbers(simulation.scene).items():

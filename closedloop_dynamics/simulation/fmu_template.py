@@ -955,7 +955,7 @@ EXPORT @FMI@Status @FMI@@DESERIALIZE@(
   Instance *instance, const unsigned char bytes[], size_t size, void **state)
 {
   if (size < SERIAL || memcmp(bytes, token, sizeof token) != 0) {
-    return failed(instance, ERROR, "@DESERIALIZE@: this is no state of this unit");
+    return failed(instance, ERROR, "@DESERIALIZE@: this is not a state of this unit");
   }
   return copied(instance, bytes + sizeof token, state);
 }

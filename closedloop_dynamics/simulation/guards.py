@@ -30,7 +30,7 @@ from ..integration.system import parts_of_state
 # imaginary axis (springs without damping) or the negative real one (dampers).
 STABILITY_LIMITS = {'semi_implicit_euler': 2.0, 'heun': 2.0, 'rk4': 2.78}
 # Error-controlled explicit methods stay stable by taking steps as small as it needs; more than
-# this many of them for one interval of the output grid is no simulation but a standstill.
+# this many of them for one interval of the output grid is not a simulation but a standstill.
 MOST_SMALL_STEPS = 3000.0
 
 # The energy balance is checked after so many steps at first, then half as often each time. With
@@ -141,7 +141,7 @@ class EnergyGuard:
         stepping = self._stepping
         method, report, guard = stepping.method, stepping.run.report, stepping.stiffness
         lost, moving, before = report.lost, report.moving, report.check_time
-        # Where the balance is no number, not even the start of it may be believed.
+        # Where the balance is not a number, not even the start of it may be believed.
         worst = report.worst if math.isfinite(lost) else math.inf
         rate, size = stepping.fastest_rate, method.step_size
         kept = f'The state of t = {before:.9g} s is kept.'

@@ -261,7 +261,7 @@ class LoopModel:
         consider positions nearby where this one is singular, which takes long. Returns the model
         of the new choice; None where the present one is as good, there are fewer equations to
         choose here, more of them cannot be met, or they have been worked on here before, so that
-        it is no progress.
+        it is not progress.
         """
         if q.tobytes() != self._place:
             self._place, self._tried = q.tobytes(), set()

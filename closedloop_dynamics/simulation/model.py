@@ -459,7 +459,7 @@ class Model:
         """
         Return a model in discrete time by steps with Jacobians; None where these do not do.
 
-        Half the steps tell the error, which the fourth power of their length is a measure of.
+        Half the steps show the error, which the fourth power of their length is a measure of.
         """
         if not begins(self, state) or self._work.effect_set.follows_time:
             return None

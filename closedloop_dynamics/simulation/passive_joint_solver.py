@@ -79,7 +79,7 @@ class PassiveJointSolver:
     Raises
     ------
     ValueError
-        For joints that are no single freedoms of the tree, or do not determine all others.
+        For joints that are not single freedoms of the tree, or do not determine all others.
 
     """
 

@@ -51,7 +51,7 @@ class PlanarEquations:
 
     def __init__(self, mechanism, values):
         if mechanism.couplings:
-            raise NotProved('couplings of joints are no polynomial equations of rotations')
+            raise NotProved('couplings of joints are not polynomial equations of rotations')
         self._mechanism = mechanism
         self._given = {motion.freedom: value for motion, value in zip(mechanism.motions, values)
                        if motion.freedom is not None}

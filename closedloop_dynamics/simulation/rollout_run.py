@@ -65,7 +65,7 @@ class TimeGrid:
         return self.zero_order_hold * steps, self.decimation * steps, self.intervals * steps
 
     def steps(self, step_size):
-        """Return how many whole steps an interval is; 0 where it is no whole number of them."""
+        """Return how many whole steps an interval is; 0 where it is not a whole number of them."""
         steps = round(self.interval / step_size)
         return steps if abs(steps * step_size - self.interval) <= TIME_ROUNDING * step_size else 0
 

@@ -57,7 +57,7 @@ def _integrator(value: Any) -> str:
     """Return the name of an integrator; of a former one, say what replaces it."""
     if isinstance(value, str) and value in FORMER_INTEGRATORS:
         raise FieldError(
-            f'one of {among(INTEGRATORS)}', shown(value), "SciPy's solvers are no part of the "
+            f'one of {among(INTEGRATORS)}', shown(value), "SciPy's solvers are not part of the "
             f'package any more: take {FORMER_INTEGRATORS[value]}')
     return one_of(tuple(INTEGRATORS))(value)
 

@@ -63,7 +63,7 @@ def with_numbers(text: str, base: Scene, scene: Scene) -> Optional[str]:
             entries['effects', name, 'enabled'] = acts
     changed = with_scalars(text, values)
     if changed is not None:
-        # Where it says so already, it is no new entry.
+        # Where it says so already, it gets no new entry.
         switched = with_scalars(changed, dict.fromkeys(entries, 'false'))
         changed = with_entries(changed, entries) if switched is None else switched
     return changed if changed is not None and _is_like(_read(changed, base), scene) else None

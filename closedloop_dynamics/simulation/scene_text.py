@@ -150,7 +150,7 @@ def read_scene_text(text: str) -> Tuple[Scene, Dict[str, Any]]:
     Raises
     ------
     SceneError
-        Where the text is no scene, or a faulty one.
+        Where the text is not a scene, or is faulty.
 
     """
     try:

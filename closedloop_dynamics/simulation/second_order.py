@@ -50,7 +50,7 @@ MOST_CORRECTIONS = 3
 NO_ENTRY = 1e-5
 # Scaled singular value from which a relation is independent of the closure equations.
 INDEPENDENT = 1e-3
-# Decimals of sums of coordinates that are no rounding.
+# Decimals of sums of coordinates that are not rounding.
 DIGITS = 14
 # How many sets of positions around are looked at.
 SEEDS = 2

@@ -600,7 +600,7 @@ def _shaped(name: str, given: Optional[ArrayLike], shape: Tuple[int, ...]) -> np
 
 
 def require_differentiable(method: Method) -> None:
-    """Refuse methods whose steps are no smooth functions of the state."""
+    """Refuse methods whose steps are not smooth functions of the state."""
     require_no_budget(method, 'a trajectory with derivatives')
     integrator = INTEGRATORS[method.integrator]
     if method.integrator not in _METHODS:

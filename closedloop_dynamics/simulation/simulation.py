@@ -251,7 +251,7 @@ class Simulation:
         return self._run.whole
 
     def snapshot(self) -> State:
-        """Return the present state; torques and the memory of a method are no part of it."""
+        """Return the present state; torques and the memory of a method are not part of it."""
         return self.data.snapshot()
 
     @property
@@ -270,7 +270,7 @@ class Simulation:
             order; joints that are not named get none.
         duration : float, optional
             [s]; one step when not given. Covered by whole steps, and one shorter step at the
-            end where it is no multiple of the step size.
+            end where it is not a multiple of the step size.
 
         Raises
         ------
@@ -319,7 +319,7 @@ class Simulation:
         Raises
         ------
         ValueError
-            Where it is no state of this scene.
+            Where it is not a state of this scene.
 
         """
         self.stepping.restore(state, time)
@@ -376,7 +376,7 @@ class Simulation:
             Where no such state closes the loops, or not even a step can be made from it; the
             present state is kept.
         ValueError
-            Where it is no state: other numbers, names, or no unit quaternion.
+            Where it is not a state: other numbers, names, or a quaternion of another norm.
 
         """
         self.stepping.set_state(position, velocity, hold)

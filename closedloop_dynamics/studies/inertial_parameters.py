@@ -10,7 +10,7 @@ inertia about it. Which of these are unknown follows from the keys that vary:
 
 * where all of the inertia varies, m, h and J as far as mass and centre do;
 * where the centre of mass is known, m (which carries h and a part of J with it) and elements of I;
-* otherwise the centre of mass enters by its square, too, and is no linear parameter.
+* otherwise the centre of mass enters by its square, too, and is not a linear parameter.
 """
 
 from typing import NamedTuple
@@ -43,7 +43,7 @@ class BodyParameters:
     The linear parameters of one body.
 
     ``keys``, those that vary, are below the body: ``mass``, ``center_of_mass.0``, ``inertia``,
-    ``inertia.3``; those that are no linear parameters become ``nonlinear``; ``depends``: which
+    ``inertia.3``; those that are not linear parameters become ``nonlinear``; ``depends``: which
     parameters a key follows from.
     """
 

@@ -41,7 +41,7 @@ def places_named(text):
 
 class Expression:
     """
-    An expression of quantities, of a text as users write it; FieldError where it is none.
+    An expression of quantities, of a text as users write it; FieldError where it is not one.
 
     It names quantities and numbers of a scene, driven joints and coordinates of points
     (``drives``), and ``paths``, places [m] by the names that ``distance`` has for them, shape (m,

@@ -145,7 +145,7 @@ def problem_of(scene, vary: Mapping[str, Tuple[float, float]], minimise: Sequenc
     if poses < 3:
         raise FieldError('three poses or more', str(poses), path=('poses',))
     try:
-        # What is no drive of this scene is refused; a machine that it does not move may come.
+        # What is not a drive of this scene is refused; a machine that it does not move may come.
         DrivenRun(driven.start(scene), driven.drives, poses, driven.speed, branch)
     except SimulationError:
         pass

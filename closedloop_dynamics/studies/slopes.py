@@ -282,7 +282,7 @@ def misses(path, wanted):
     if size == 2:
         normal = np.stack([-way[:, 1], way[:, 0]], axis=1)
         normal /= np.maximum(np.linalg.norm(normal, axis=1), 1e-300)[:, np.newaxis]
-        # Beyond an open end the nearest place is no foot of a perpendicular.
+        # Beyond an open end the nearest place is not a foot of a perpendicular.
         foot = np.ones(len(place), bool) if closed else (place > 0.0) & (place < count - 1.0)
         size_of = np.where(foot, np.einsum('mi,mi->m', normal, gap), size_of)
         unit = np.where(foot[:, np.newaxis], normal, unit)

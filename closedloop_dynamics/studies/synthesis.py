@@ -39,7 +39,7 @@ SAME = 1e-4
 
 
 class SynthesisError(ValueError):
-    """No linkage was found, or the task is none."""
+    """No linkage was found, or the task makes no sense."""
 
 
 class Linkage(NamedTuple):

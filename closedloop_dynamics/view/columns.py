@@ -128,7 +128,7 @@ def joint_plots(mechanism):
     position, velocity, effort = map(names.columns, ('position', 'velocity', 'effort'))
     freedoms = [(name, bool(length), place in names.actuated) for place, (name, length) in (
         enumerate(zip(names.names, names.lengths)))]
-    # Orientations are no numbers one by one.
+    # The numbers of an orientation mean nothing one by one.
     plots = [Plot('joint position', name, QUANTITIES['position'][length], driven, position[place])
              for (name, length, driven), place in zip(freedoms, names.place) if place >= 0]
     plots += [Plot('drive torque or force', name, QUANTITIES['effort'][length], column=column)
@@ -152,7 +152,7 @@ def _joint_values(names, position, velocity, effort, forces, points):
 
 
 def _is_other(names):
-    """Return which numbers of a position, and of its efforts, are no plot: bool."""
+    """Return which numbers of a position, and of its efforts, are not plotted: bool."""
     position, effort = np.ones(names.nq, dtype=bool), np.ones(names.nv, dtype=bool)
     position[names.place[names.place >= 0]] = False
     effort[list(names.actuated)] = False

@@ -33,7 +33,7 @@ class Drive:
         """
         Follow another reference from a time [s] and position [rad; m] on.
 
-        FieldError where the value is no number, or no expression.
+        FieldError where the value is neither a number nor an expression.
         """
         with at('value'):
             (text if mode in (EXPRESSION, OWN) else number)(value)

@@ -60,7 +60,7 @@ class Library:
                 and self._description(path) is not None]
 
     def _description(self, path):
-        """Return the description of a scene's file; None where it is none, or has gone."""
+        """Return the description of a scene's file; None where it is not one, or has gone."""
         try:
             key = path, path.stat().st_mtime_ns
             if key not in self._known_files:
@@ -132,7 +132,7 @@ class Library:
 
 
 def _description(path):
-    """Return the description of a scene's file; None where it is none."""
+    """Return the description of a scene's file; None where it is not one."""
     if path.stat().st_size > LARGEST_FILE:
         return None
     try:

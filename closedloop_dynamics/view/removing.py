@@ -33,7 +33,7 @@ def without(scene, text, kind, name):
 
     With a body go its joints and points, and the effects and couplings of these. The text is None
     where it has no place of the part, whose kind is one of ``messages.REMOVALS``. FieldError where
-    the part is none of the scene, or others hang on it.
+    the part is not in the scene, or others hang on it.
     """
     _require(scene, kind, name)
     parts, joints = [(kind, name)], [name] if kind == JOINT else []

@@ -402,7 +402,7 @@ class Runner(Shown):
             point = self._hand.point(*self._grabbed)
         except FieldError:
             self.holder = self._grabbed = None
-            self.feed.log('What was held is no part of the machine any more.')
+            self.feed.log('What was held is no longer part of the machine.')
             return
         if not self._kinematic:
             self._begin_grab(point, place)

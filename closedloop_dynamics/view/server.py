@@ -132,7 +132,7 @@ class Server:
         """Return whether a request comes from a permitted page of this server."""
         host = request.headers.get('Host', '')
         if self.token is None:
-            # A name that leads here by the DNS of somebody else is none of ours.
+            # A name that leads here by the DNS of somebody else is not ours.
             if host.removesuffix(f':{self.port}').lower() not in LOCAL_NAMES:
                 return False
         else:

@@ -52,7 +52,7 @@ ARROW = {'arrowstyle': '-|>', 'color': FORCE_COLOR, 'linewidth': 1.8, 'shrinkA':
 PIVOT_SIZE, SLIDER_SIZE = 0.035, 0.04
 # Above the positions in the background, below the strong one.
 GROUND_LAYER = 24.0
-# In space the ground is no body: behind all of them.
+# In space the ground is not a body: behind all of them.
 GROUND_BEHIND = 5.0
 PALEST = 0.18
 # Cut joints that are nearer than this share of the extent have their names side by side.

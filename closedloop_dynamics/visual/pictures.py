@@ -144,7 +144,7 @@ def positions(motion, title):
     chosen = spread_positions(poses, MOST if mechanism.planar else MOST_IN_SPACE)
     last = chosen[-1]
     forces = motion.forces[last]
-    # Forces that were not recorded are no numbers.
+    # Forces that were not recorded are NaN.
     known = bool(np.isfinite(forces).all())
     largest = magnitudes(forces).max(initial=0.0) if known else 0.0
     for axes, view in zip(panels, views):

@@ -29,8 +29,9 @@ TOLERANCE = 1e-4
 LEAST_TEETH, MOST_TEETH = (*range(18, 41), *range(12, 18)), 500
 # How far a rack reaches, in radii of its wheel.
 REACH = 4.0
-# Wheels that turn the same way with about the same speed are no gear in a ring, which would be so
-# many times as large as their distance; the larger pulley of a belt without radii, in distances.
+# Wheels that turn the same way with about the same speed are not gears in a ring, which would be
+# so many times as large as their distance; the larger pulley of a belt without radii, in
+# distances.
 LARGEST_RING, BELT_RADIUS = 6.0, 0.15
 
 

@@ -151,5 +151,5 @@ def test_no_joint_that_repeats_another_locks_or_frees_in_silence(count, monkeypa
     counts = Counter(kind for kind, _ in found)
     print(f'tried {count}:', dict(counts))
     assert [text for kind, text in found if kind in ('silent', 'refused', 'warned')] == []
-    # Those that move to first order only are no part of this.
+    # Those that move to first order only are not part of this.
     assert counts['right'] >= 0.95 * count

@@ -227,7 +227,7 @@ def test_an_outline_that_jumps_after_a_turn_is_refused_with_the_jump():
     with pytest.raises(FieldError, match=f'which jumps by {jump:.6g} m there, from '
                                          f'{0.03 + jump:.6g} to 0.03 m'):
         BodyContact('front', 'rear', 'curve', 1.0, polar='0.03 + 0.002*a')
-    # Sines of 2 pi are rounded, which is no jump.
+    # Sines of 2 pi are rounded, which is not a jump.
     assert BodyContact('front', 'rear', 'curve', 1.0, polar='0.03 + 0.002*sin(3*a)**3')
 
 

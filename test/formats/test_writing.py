@@ -282,7 +282,7 @@ def test_mjcf_has_armature_and_what_acts_in_balls_and_what_floats(tmp_path):
     assert found['stiffness_j0_y'] == effects['mooring_1']
     assert found['armature_j1'] == effects['flywheel']
     assert model.dof_frictionloss[-1] == 2.0
-    # One that differs between the freedoms of a ball is no word of MJCF.
+    # A value that differs between the freedoms of a ball has no word in MJCF.
     effects['d7'] = {**effects['d7'], 'coefficient': 9.0}
     mjcf(mechanism, effects, left_out=left_out)
     assert {'d6', 'd7', 'd8'} <= set(left_out)

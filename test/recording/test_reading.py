@@ -166,4 +166,4 @@ def test_the_command_that_recovered_bags_says_what_serves_instead(capsys):
     with pytest.raises(SystemExit, match='2'):
         main(['recover', 'my_bag'])
     error = capsys.readouterr().err
-    assert 'recover is no command any more' in error and '`mcap recover FILE -o NEW`' in error
+    assert 'recover is no longer a command' in error and '`mcap recover FILE -o NEW`' in error

@@ -20,7 +20,7 @@ CLOSING = {'plane': (REVOLUTE, REVOLUTE, CYLINDRICAL, SPHERICAL, POINT_ON_LINE, 
            'slides': (PRISMATIC, PRISMATIC, CYLINDRICAL)}
 # Bodies of the first leg of a loop, at least: fewer would not move.
 SHORTEST = {'plane': 3, 'point': 3, 'slides': 3}
-# Smallest singular value of the equations that are no repetition, at the start.
+# Smallest singular value of the equations that repeat no other, at the start.
 REGULAR, DEPENDENT = 0.02, 1e-9
 DECADES = 6.0
 IDENTITY = (0.0, 0.0, 0.0, 1.0)

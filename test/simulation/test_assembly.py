@@ -286,6 +286,6 @@ def test_degrees_are_asked_about_wherever_positions_come_in():
     simulation = Simulation(model)
     simulation.set_state({'crank_joint': 45.0}, hold=['crank_joint'])
     assert any('45 degrees are 0.785398 rad' in note for note in simulation.data.assembly_notes())
-    # A crank that has turned 14 times is no question.
+    # A crank that has turned 14 times is found all the same.
     simulation.set_state({'crank_joint': 14.0 * 2.0 * math.pi + 1.0}, hold=['crank_joint'])
     assert not any('degrees' in note for note in simulation.data.assembly_notes())

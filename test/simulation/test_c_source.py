@@ -75,7 +75,7 @@ def build(folder, simulation, *options, name='model', derivatives=False, compile
     (folder / f'{name}.c').write_text(source)
     (folder / f'{name}.h').write_text(header)
     out = folder / (f'{name}.so' if '-shared' in options else name)
-    # Which C it is, is no option of a compiler of C++.
+    # The standard of C is not an option of a compiler of C++.
     strict = STRICT[1:] if command == 'c++' else STRICT
     subprocess.run(
         (command, *strict, *options, '-o', out, folder / f'{name}.c', '-lm'), check=True)
@@ -228,7 +228,7 @@ def test_cost_bounds_what_a_compiler_takes(scene, float32, tmp_path):
             # What is not listed has become part of its caller.
             taken = sum(used.get(one, 0) for one in chain)
             assert taken <= cost.stack[function]
-            # Without optimisation it is no rough bound: frames are short beside long functions.
+            # Without optimisation it is not a rough bound: frames are short beside long functions.
             if level == '-O0' and function == 'evaluate' and not float32 and scene != 'four_bar':
                 assert taken > 0.7 * cost.stack[function]
 

@@ -137,7 +137,7 @@ FAULTS = {
     'integrator_of_scipy': (
         'integrator: semi_implicit_euler', 'integrator: scipy_radau', 11, 'method.integrator',
         f'one of {among(INTEGRATORS)}', "the text 'scipy_radau'",
-        "SciPy's solvers are no part of the package any more: take rodas4"),
+        "SciPy's solvers are not part of the package any more: take rodas4"),
     'accuracy_without_auto': (
         'step_size: 5e-4', 'accuracy: 1.0e-6', 12, 'method.accuracy',
         'this key only with integrator: auto',

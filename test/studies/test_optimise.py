@@ -1,7 +1,7 @@
 # SPDX-FileCopyrightText: 2026 The closedloop_dynamics authors
 # SPDX-License-Identifier: Apache-2.0
 
-"""The best numbers of a machine: known answers, derivatives, and what is no machine."""
+"""The best numbers of a machine: known answers, derivatives, and what is not a machine."""
 
 import json
 import math

@@ -85,7 +85,7 @@ def test_speed_is_followed(shown, factor):
     shown.ask('speed', factor=factor)
     shown.ask('play')
     shown.run(60)
-    # What is due but is no whole step yet is left.
+    # What is due but is not a whole step yet is left.
     assert factor - shown.simulation.time < shown.simulation.step_size + 1e-9
 
 

@@ -164,7 +164,7 @@ def test_malformed_requests_are_refused_quietly(caplog, capfd, host, path, heade
         with socket.create_connection(('127.0.0.1', server.port), PATIENCE) as connection:
             connection.sendall(text.format(port=server.port).encode('latin-1'))
             answer = b''.join(iter(lambda: connection.recv(4096), b''))
-        # What is no HTTP at all ends the connection without an answer.
+        # What is not HTTP at all ends the connection without an answer.
         assert answer.split()[1:2] in ([], [b'400'], [b'403'])
         assert opened(server.url)[0] == 200
     finally:

@@ -82,7 +82,7 @@ def on_circle(radius, count, height):
 
 
 def painted(seen):
-    """Return which colours are no grey: those of bodies."""
+    """Return which colours are not grey: those of bodies."""
     return np.ptp(seen, axis=-1) > 40
 
 

@@ -48,7 +48,7 @@ def carried_effects(scene, signs, world, place, turned=()):
     Return the effects of a scene for a machine whose joints count another way, and those left out.
 
     ``signs``, by joint and by freedom: what the new coordinate is times the old one; None where it
-    is none of both, 1 for others. ``world`` takes a vector in the old world's axes, returns it in
+    is neither, 1 for others. ``world`` takes a vector in the old world's axes, returns it in
     those of the new one, mirrored; None where the old world is a moving body: gravity alone stays.
     ``place`` takes a body's name, a place in its frame and an inertia along its axes, returns both
     in its new frame; None for a body that is there no more. ``turned``: joints of which parent and
