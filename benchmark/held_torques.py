@@ -10,27 +10,21 @@ depend on the machine, and CPU time of a loop in Python that calls ``Simulation.
 period.
 """
 
-import argparse
-import csv
-from dataclasses import dataclass
+from dataclasses import astuple, dataclass
 import math
-from pathlib import Path
 from statistics import median
-import sys
 import time
 import warnings
 
-from machine import ROOT
+from closedloop_dynamics.core.types import EVALUATIONS
+from closedloop_dynamics.integration.registry import ADAPTIVE, INTEGRATORS
+from closedloop_dynamics.simulation.errors import InaccuracyWarning, SimulationError
+from closedloop_dynamics.simulation.scene_records import AUTO
+from closedloop_dynamics.simulation.simulation import Simulation
+from closedloop_dynamics.visual.tables import write_csv
+from machine import in_turn
 import numpy as np
-
-sys.path.insert(0, str(ROOT))
-
-from closedloop_dynamics.core.types import EVALUATIONS  # noqa: E402,I100
-from closedloop_dynamics.integration.registry import ADAPTIVE, INTEGRATORS  # noqa: E402
-from closedloop_dynamics.simulation.errors import InaccuracyWarning, SimulationError  # noqa: E402
-from closedloop_dynamics.simulation.scene_records import AUTO  # noqa: E402
-from closedloop_dynamics.simulation.simulation import Simulation  # noqa: E402
-from closedloop_dynamics.visual.tables import write_csv  # noqa: E402
+from sentences import read as read_rows
 
 # The mean torques [N m]; they swing between nothing and twice that.
 MOTIONS = {'three_rrr': {'theta_1': 5.0, 'theta_6': -3.0, 'theta_7': 2.0},
@@ -111,8 +105,15 @@ def motion(scene, rate, integrator, value, rounds=0):
         simulation.advance(torque, steps)
         positions.append(simulation.position.copy())
     evaluations = simulation.data.system.work.health[EVALUATIONS] / DURATION
-    costs = [_time_once(simulation, torques, steps) for _ in range(rounds)]
-    return np.array(positions), evaluations, median(costs) if costs else math.nan
+
+    def run():
+        simulation.reset()
+        simulation.stepping.monitor.sampling = False
+        for torque in torques:
+            simulation.advance(torque, steps)
+
+    costs = in_turn({scene: run}, rounds, time.thread_time)[scene]
+    return np.array(positions), evaluations, median(costs) / DURATION if costs else math.nan
 
 
 def _torques(simulation, scene, rate):
@@ -123,16 +124,6 @@ def _torques(simulation, scene, rate):
         torques.append(simulation.joint_torques(
             {joint: mean * swing for joint, mean in MOTIONS[scene].items()}))
     return torques
-
-
-def _time_once(simulation, torques, steps):
-    """Return the CPU time of a simulated second [s]."""
-    simulation.reset()
-    simulation.stepping.monitor.sampling = False
-    begin = time.thread_time()
-    for torque in torques:
-        simulation.advance(torque, steps)
-    return (time.thread_time() - begin) / DURATION
 
 
 def study(scenes=tuple(MOTIONS), rates=RATES, quick=False):
@@ -169,29 +160,11 @@ def _run(scene, rate, integrator, value, reference, rounds):
 
 def write(runs, path):
     """Write the runs as a CSV file."""
-    write_csv(path, HEADER, [
-        (run.scene, run.rate, run.integrator, run.step_size, run.tolerance, run.position_error,
-         run.evaluations, run.cost, run.failure) for run in runs])
+    write_csv(path, HEADER, map(astuple, runs))
 
 
 def read(path):
     """Return the runs of a CSV file."""
-    with open(path, newline='', encoding='utf-8') as file:
-        return [Run(row['scene'], int(float(row['rate'])), row['integrator'],
-                    *(float(row[name] or 'nan') for name in HEADER[3:8]), row['failure'])
-                for row in csv.DictReader(file)]
-
-
-def main(arguments=None):
-    """Measure and write."""
-    parser = argparse.ArgumentParser(description=__doc__)
-    parser.add_argument('--quick', action='store_true', help='fewer settings')
-    parser.add_argument('--output', type=Path,
-                        default=ROOT / 'doc' / 'pictures' / 'accuracy_held.csv')
-    options = parser.parse_args(arguments)
-    write(study(quick=options.quick), options.output)
-    return 0
-
-
-if __name__ == '__main__':
-    sys.exit(main())
+    return [Run(row['scene'], int(float(row['rate'])), row['integrator'],
+                *(float(row[name] or 'nan') for name in HEADER[3:8]), row['failure'])
+            for row in read_rows(path)]
