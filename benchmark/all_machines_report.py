@@ -7,6 +7,7 @@ from statistics import median
 
 from all_machines import OURS, RATES, read, TARGETS
 from matplotlib.figure import Figure
+from peer_report import cheapest
 from sentences import paragraph, spread
 
 from closedloop_dynamics.visual.appearance import COLORS, DOTS_PER_INCH  # noqa: I100
@@ -22,11 +23,13 @@ SAME = {'three_rrr_vertical': 'three_rrr'}
 # Errors that are reported must be so much larger than what the reference is known to.
 ABOVE = 3.0
 COST, ERROR = 'cpu_time_per_second', 'error'
-# Marker, colour, whether it is filled, of at most five lines.
-LINES = (('default, 1e-3', 'o', COLORS[0], True), ('default, 1e-6', 's', COLORS[1], True),
-         ('default, 1e-9', '^', COLORS[2], True),
-         ('best of the others, 1e-3', 'o', '#333333', False),
-         ('best of the others, 1e-6', 's', '#333333', False))
+# Marker and colour by target: of the default filled, of others hollow and grey.
+MARKERS = dict(zip(TARGETS, zip('os^', COLORS)))
+# Whose method it is, in two letters; doc/accuracy_machines.md says which.
+METHODS = {'RK4': 'M4', 'implicitfast': 'Mi', **{
+    f'{method} in C++{ending}': letters + digit
+    for method, digit in (('RK4', '4'), ('Fehlberg 7(8)', '7'))
+    for ending, letters in (('', 'C'), (', lcaba', 'L'), (', lcaba, 2 iterations', 'LL'))}}
 
 
 class Results:
@@ -37,29 +40,34 @@ class Results:
     ----------
     machines : dict of str to str
         Kind by name, ``'scene'`` or ``'robot'``.
+    reasons : list of (str, str, str)
+        Machine, simulator, and why it was not measured there.
 
     """
 
     def __init__(self, path):
         """Read a CSV file."""
-        self._rows, self.machines, self._reasons = {}, {}, {}
+        self._rows, self.machines, self.reasons = {}, {}, []
         for row in read(path):
             self.machines[row['machine']] = row['kind']
             if row['engine'] != OURS and row['note']:
-                self._reasons.setdefault(row['machine'], {}).setdefault(
-                    row['engine'], []).append(row['note'])
+                self.reasons.append((row['machine'], row['engine'], row['note']))
             self._rows.setdefault((row['machine'], row['rate']), []).append(row)
+
+    def _kept(self, machine, rate, target):
+        """Return the rows as far as the reference can tell an error."""
+        return [row for row in self._rows.get((machine, rate), ())
+                if ABOVE * row['known_to'] <= target]
 
     def ours(self, machine, rate, target):
         """Return the row of the default method that was asked for an accuracy, or None."""
-        return next((row for row in self._rows.get((machine, rate), ()) if row['target'] == target
-                     and _kept(row, target)), None)
+        return cheapest([row for row in self._kept(machine, rate, target)
+                         if row['target'] == target], target, COST)
 
     def other(self, machine, rate, target):
         """Return the cheapest row of another simulator that keeps an error, or None."""
-        rows = [row for row in self._rows.get((machine, rate), ())
-                if row['engine'] != OURS and row[COST] == row[COST] and _kept(row, target)]
-        return min(rows, key=lambda row: row[COST], default=None)
+        return cheapest([row for row in self._kept(machine, rate, target)
+                         if row['engine'] != OURS and row[COST] == row[COST]], target, COST)
 
     def still(self, machine, rate):
         """Return whether nothing moves."""
@@ -72,14 +80,8 @@ class Results:
         if any(row['engine'] != OURS and row[COST] == row[COST]
                for row in self._rows.get((machine, rate), ())):
             return NOT_REACHED
-        known = {text.partition(':')[0] for texts in self._reasons.get(machine, {}).values()
-                 for text in texts}
+        known = {text.partition(':')[0] for name, _, text in self.reasons if name == machine}
         return ', '.join(sorted(known)) or NOTHING
-
-    def reasons(self):
-        """Return (machine, simulator, what it cannot express) of all."""
-        return [(machine, engine, text) for machine, by_engine in self._reasons.items()
-                for engine, texts in by_engine.items() for text in texts]
 
     def moving(self, rate):
         """Return the machines that count in a motion: that move, each once."""
@@ -94,28 +96,23 @@ class Results:
         return (ends[1][COST] / ends[0][COST]) ** (1.0 / 6.0) - 1.0
 
 
-def _kept(row, target):
-    """Return whether a row keeps an error, as far as the reference can tell."""
-    return row[ERROR] <= target and ABOVE * row['known_to'] <= target
-
-
 def table(results, rate):
     """Return what each machine costs in a motion, and how much more with the best of others."""
     rows = []
     for machine in results.machines:
-        cells = []
-        for target in TARGETS:
-            one = results.ours(machine, rate, target)
-            cells.append(seconds(one[COST]) if one else NOTHING)
+        ours = [results.ours(machine, rate, target) for target in TARGETS]
         share = results.digit(machine, rate)
-        cells.append(NOTHING if share is None else f'{round(100.0 * share)} %')
-        for target in TARGETS:
-            one, other = results.ours(machine, rate, target), results.other(machine, rate, target)
+        cells = [*(seconds(one[COST]) if one else NOTHING for one in ours),
+                 NOTHING if share is None else f'{round(100.0 * share)} %']
+        for target, one in zip(TARGETS, ours):
+            other = results.other(machine, rate, target)
             if other is None:
                 cells.append(results.why(machine, rate))
                 continue
+            method = other['setting'].partition(', tolerance')[0].partition(', step')[0]
             times = f' ({spread([other[COST] / one[COST]])})' if one else ''
-            cells.append(f'{seconds(other[COST])} {_who(other)}{times}')
+            cells.append(f'{seconds(other[COST])} '
+                         f'{METHODS.get(method, other["engine"] + " " + method)}{times}')
         # Machines without drives are not moved by torques.
         if not rate or any(cell != NOTHING for cell in cells):
             rows.append((machine, *cells))
@@ -124,26 +121,11 @@ def table(results, rate):
          *(f'others, {target:.0e}' for target in TARGETS)), rows)
 
 
-# Whose method it is, in two letters; doc/accuracy_machines.md says which.
-METHODS = {('Pinocchio', 'constraintDynamics, RK4'): 'C4',
-           ('Pinocchio', 'constraintDynamics, Fehlberg 7(8)'): 'C7',
-           ('Pinocchio', 'lcaba, RK4'): 'L4', ('Pinocchio', 'lcaba, Fehlberg 7(8)'): 'L7',
-           ('Pinocchio', 'lcaba, 2 iterations, RK4'): 'LL4',
-           ('Pinocchio', 'lcaba, 2 iterations, Fehlberg 7(8)'): 'LL7',
-           ('MuJoCo', 'RK4'): 'M4', ('MuJoCo', 'implicitfast'): 'Mi'}
-
-
-def _who(row):
-    """Return the letters of the method of a row, its name where it has none."""
-    method = row['setting'].partition(', tolerance')[0].partition(', step')[0]
-    return METHODS.get((row['engine'], method), f'{row["engine"]} {method}')
-
-
 def compared(results, rate):
-    """Return sorted costs of the best of others in ours, of the default for 1e-6."""
+    """Return costs of the best of others in ours, of the default for 1e-6."""
     pairs = [(results.ours(machine, rate, 1e-6), results.other(machine, rate, 1e-6))
              for machine in results.moving(rate)]
-    return sorted(other[COST] / one[COST] for one, other in pairs if one and other)
+    return [other[COST] / one[COST] for one, other in pairs if one and other]
 
 
 def by_default(path):
@@ -179,7 +161,7 @@ def summary(results):
 
 def reasons(results):
     """Return a table of the machines that other simulators were not measured on, and why."""
-    return markdown_table(('machine', 'simulator', 'why not'), results.reasons())
+    return markdown_table(('machine', 'simulator', 'why not'), results.reasons)
 
 
 def passages(path):
@@ -193,20 +175,23 @@ def picture(path):
     """Draw CPU time per simulated second of all machines."""
     results = Results(path)
     names = sorted(results.machines, key=lambda machine: (
-        results.machines[machine] == 'robot', getattr(
-            results.ours(machine, 0, 1e-6), 'get', lambda key: 0.0)(COST)))
+        results.machines[machine] == 'robot',
+        (results.ours(machine, 0, 1e-6) or {COST: 0.0})[COST]))
     figure = Figure(figsize=(12.0, 2.0 + 0.22 * len(names)), dpi=DOTS_PER_INCH,
                     layout='constrained')
     panels = figure.subplots(1, len(RATES), sharey=True, sharex=True)
+    lines = [('default', results.ours, target) for target in TARGETS] + [
+        ('best of the others', results.other, target) for target in TARGETS[:2]]
     for axes, rate in zip(panels, RATES):
         axes.set_title(MOTIONS[rate], fontsize=10)
-        for (label, marker, color, filled), (chosen, target) in zip(LINES, (
-                *((results.ours, target) for target in TARGETS), (results.other, 1e-3),
-                (results.other, 1e-6))):
+        for label, chosen, target in lines:
             places = [(one[COST], number) for number, one in enumerate(
                 chosen(machine, rate, target) for machine in names) if one]
+            marker, color = MARKERS[target]
+            filled = label == 'default'
             axes.plot(*zip(*places) if places else ((), ()), linestyle='', marker=marker,
-                      color=color, markersize=5, label=label,
+                      color=color if filled else '#333333', markersize=5,
+                      label=f'{label}, {target:.0e}',
                       markerfacecolor=color if filled else 'none')
         axes.set_xscale('log')
         axes.set_xlabel('CPU time for one simulated second [s]')

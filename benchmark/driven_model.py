@@ -24,9 +24,9 @@ for _name in ('OMP_NUM_THREADS', 'OPENBLAS_NUM_THREADS', 'MKL_NUM_THREADS'):
     os.environ[_name] = '1'
 
 from machine import description, ROOT  # noqa: E402,I100
-from model_mujoco import compiled  # noqa: E402
 import mujoco  # noqa: E402
 import numpy as np  # noqa: E402
+from peer_mujoco import compiled  # noqa: E402
 
 sys.path.insert(0, str(ROOT))
 

@@ -14,7 +14,6 @@ the other simulators. To be run on a machine that does nothing else.
 import argparse
 import csv
 from dataclasses import dataclass, field
-import datetime
 from pathlib import Path
 import re
 import shutil
@@ -27,18 +26,17 @@ import all_machines_report
 import energy_study
 import held_torques
 from machine import description, ROOT
+from peer_report import measured
 import sentences
 import throughput
 from yardsticks import SciPyLine, SOLVERS
 
-sys.path.insert(0, str(ROOT))
-
-from closedloop_dynamics.simulation.errors import InaccuracyWarning  # noqa: E402,I100
-from closedloop_dynamics.simulation.scene import load_scene  # noqa: E402
-from closedloop_dynamics.simulation.scene_records import AUTO  # noqa: E402
-from closedloop_dynamics.studies import accuracy_report  # noqa: E402
-from closedloop_dynamics.studies.accuracy import default_lines, Line, study_accuracy  # noqa: E402
-from closedloop_dynamics.visual.tables import markdown_table, seconds  # noqa: E402
+from closedloop_dynamics.simulation.errors import InaccuracyWarning  # noqa: I100
+from closedloop_dynamics.simulation.scene import load_scene
+from closedloop_dynamics.simulation.scene_records import AUTO
+from closedloop_dynamics.studies import accuracy_report
+from closedloop_dynamics.studies.accuracy import default_lines, Line, study_accuracy
+from closedloop_dynamics.visual.tables import markdown_table, seconds
 
 TARGETS = (1e-3, 1e-6, 1e-9)
 BASE_TORQUES = {'theta_1': 5.0, 'theta_6': -3.0, 'theta_7': 2.0}
@@ -207,23 +205,24 @@ def measure(pictures, quick, only):
         energy_study.write(energy_study.study(quick), pictures / 'accuracy_energy.csv')
 
 
-def measure_beside_others(pictures, options):
+def run(python, name, *arguments, quick=False, **how):
+    """Run a benchmark in a process of its own."""
+    subprocess.run([python, str(ROOT / 'benchmark' / f'{name}.py'), *map(str, arguments),
+                    *(['--quick'] if quick else [])], check=True, **how)
+
+
+def measure_beside_others(pictures, options, only):
     """Measure what needs other simulators: every machine, and many samples at once."""
-    only = options.only or PARTS
     if SAMPLES in only:
-        few = ['--samples', '4', '--repeats', '1'] if options.quick else ['--samples', '64']
-        subprocess.run([
-            options.peers_python, str(ROOT / 'benchmark' / 'throughput.py'), '--fidelity',
-            '--csv', str(pictures / 'accuracy_samples.csv'), *few], check=True)
-    if MACHINES not in only:
-        return
-    subprocess.run([
-        options.peers_python, str(ROOT / 'benchmark' / 'all_machines.py'), '--output',
-        str(options.output), *(['--quick'] if options.quick else []),
-        *(['--models', str(options.models)] if options.models else [])], check=True)
-    table = pictures / 'accuracy_machines.csv'
-    shutil.copyfile(options.output / 'all_machines.csv', table)
-    all_machines_report.picture(table).savefig(table.with_suffix('.png'))
+        few = ['--samples', 4, '--repeats', 1] if options.quick else ['--samples', 64]
+        run(options.peers_python, 'throughput', '--fidelity', '--csv',
+            pictures / 'accuracy_samples.csv', *few)
+    if MACHINES in only:
+        run(options.peers_python, 'all_machines', '--output', options.output,
+            *(['--models', options.models] if options.models else []), quick=options.quick)
+        table = pictures / 'accuracy_machines.csv'
+        shutil.copyfile(options.output / 'all_machines.csv', table)
+        all_machines_report.picture(table).savefig(table.with_suffix('.png'))
 
 
 def _progress(name):
@@ -274,37 +273,46 @@ def fill_pages(folder, parts):
         raise KeyError(f'no page has the passages {sorted(left)}')
 
 
-def main(arguments=None):
-    """Measure and write."""
-    parser = argparse.ArgumentParser(description=__doc__)
-    parser.add_argument('--quick', action='store_true', help='fewer settings')
-    parser.add_argument('--only', action='append', metavar='NAME', choices=PARTS,
-                        help='measure one study alone: ' + ', '.join(PARTS))
-    parser.add_argument('--measured', action='store_true',
-                        help='measure nothing: make the tables from the CSV files')
-    parser.add_argument('--document', type=Path, default=ROOT / 'doc' / 'accuracy.md')
+def options_of_peers():
+    """Return the options that whoever measures other simulators, too, takes."""
+    parser = argparse.ArgumentParser(add_help=False)
+    parser.add_argument('--quick', action='store_true', help='see that it runs: rough numbers')
     parser.add_argument('--peers-python', default=sys.executable, metavar='PYTHON',
                         help='interpreter with the packages of the extra bench '
                         '(default: this one)')
     parser.add_argument('--models', type=Path, metavar='DIR',
-                        help='folder with a clone of example-parallel-robots, whose robots are '
-                        'left out without it')
+                        help='folder of models that others have published, which are left out '
+                        'without it: a clone of example-parallel-robots')
+    return parser
+
+
+def options_of_page(arguments, text, parts, page):
+    """Return the options of a command that makes a page, and its parser, to refuse some."""
+    parser = argparse.ArgumentParser(description=text, parents=[options_of_peers()])
+    parser.add_argument('--only', action='append', choices=parts, metavar='PART',
+                        help='measure this part alone: ' + ', '.join(parts))
+    parser.add_argument('--measured', action='store_true',
+                        help='measure nothing: make the page from what was measured')
     parser.add_argument('--output', type=Path, default=ROOT / 'benchmark_output', metavar='DIR',
                         help='where results go that no page shows (default: %(default)s)')
+    parser.add_argument('--document', type=Path, default=ROOT / 'doc' / page)
     options = parser.parse_args(arguments)
-    pictures = options.document.parent / 'pictures'
-    pictures.mkdir(exist_ok=True)
-    parts = {}
+    (options.document.parent / 'pictures').mkdir(exist_ok=True)
+    return options, parser
+
+
+def main(arguments=None):
+    """Measure and write."""
+    options, _ = options_of_page(arguments, __doc__, PARTS, PAGES[0])
+    pictures, only, parts = options.document.parent / 'pictures', options.only or PARTS, {}
     if not options.measured:
         # What is written from here on makes the checkout no other one.
-        machine = description()
-        measure(pictures, options.quick, options.only or PARTS)
-        told = f'Measured on {datetime.date.today().isoformat()}: {machine}.' + (
-            ' Quick version: fewer settings.' if options.quick else '')
-        measure_beside_others(pictures, options)
+        told = measured({'machine': description(), 'quick': options.quick})
+        measure(pictures, options.quick, only)
+        measure_beside_others(pictures, options, only)
         if not options.only:
             parts['machine'] = parts['methods machine'] = told
-        if MACHINES in (options.only or PARTS):
+        if MACHINES in only:
             parts['machines machine'] = told
     parts.update(passages(pictures))
     fill_pages(options.document.parent, parts)

@@ -66,7 +66,7 @@ def measure_stability(checkout, quick):
 def main(arguments=None):
     """Measure and write."""
     parser = argparse.ArgumentParser(
-        description=__doc__, parents=[make_performance_doc.options_of_peers()])
+        description=__doc__, parents=[make_accuracy_doc.options_of_peers()])
     parser.add_argument('--measured', action='store_true',
                         help='measure nothing, make the tables and sentences from the files')
     parser.add_argument('--stability', action='store_true',

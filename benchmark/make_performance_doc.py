@@ -10,17 +10,13 @@ doc/pictures/performance_*.* and fills the passages of the document between ``<!
 and ``<!-- end NAME -->``; the text around them stays.
 """
 
-import argparse
-import datetime
 import json
-from pathlib import Path
 import shutil
 import subprocess
 import sys
 
 import elements
-from machine import ROOT
-from make_accuracy_doc import filled
+from make_accuracy_doc import filled, options_of_page, run
 import models
 import operation_count
 import peer_report
@@ -52,32 +48,10 @@ def measure(parts, output, quick, peers_python, folder=None):
 
     """
     for part in parts:
-        python = sys.executable if part in ('elements', 'size', 'startup') else peers_python
         print(f'{part} ...', file=sys.stderr, flush=True)
-        subprocess.run(
-            [python, str(ROOT / 'benchmark' / f'{part}.py'), '--output', str(output),
-             *([str(folder)] if part == 'models' else []), *(['--quick'] if quick else [])],
-            check=True, stdout=subprocess.DEVNULL)
-
-
-def peers_passages(results):
-    """Return the passages on the other simulators, of the groups that were measured."""
-    texts = {}
-    for group, result in results.items():
-        name = 'peers' if group == 'plane' else f'peers {group}'
-        texts.update({
-            f'{name} machine': f'{measured(result, result["date"])}\n{peer_report.busy(result)}',
-            f'{name} agreement': peer_report.agreement_table(result),
-            f'{name} evaluation': peer_report.evaluation_table(result)})
-        if result['cases']:
-            uncertain = max(case['uncertainty'] for case in result['cases'])
-            texts[f'{name} motions'] = peer_report.motion_table(result)
-            texts[f'{name} reference'] = ('The two methods behind the reference differ by '
-                                          f'{uncertain:.0e} rad or m at most.')
-        for key in ('rollouts', 'short_rollouts'):
-            if result[key]:
-                texts[f'{name} {key.replace("_", " ")}'] = peer_report.rollout_table(result[key])
-    return texts
+        run(sys.executable if part in ('elements', 'size', 'startup') else peers_python, part,
+            '--output', output, *([folder] if part == 'models' else []), quick=quick,
+            stdout=subprocess.DEVNULL)
 
 
 def operation_passages(result):
@@ -99,7 +73,7 @@ def size_passages(result):
 def passages(output, parts):
     """Return {name of a passage: its text} from the results of benchmarks."""
     results = {part: json.loads((output / f'{part}.json').read_text()) for part in parts}
-    builders = {'peers': peers_passages, 'operation_count': operation_passages,
+    builders = {'peers': peer_report.passages, 'operation_count': operation_passages,
                 'elements': lambda result: {
                     'elements rows': elements.row_table(result),
                     'elements times': elements.time_table(result),
@@ -112,14 +86,8 @@ def passages(output, parts):
     for part, result in results.items():
         texts.update(builders[part](result))
         if part != 'peers':
-            texts[f'{part} machine'] = measured(result, datetime.date.today().isoformat())
+            texts[f'{part} machine'] = peer_report.measured(result)
     return texts
-
-
-def measured(result, date):
-    """Return when and where something was measured."""
-    return f'Measured on {date}: {result["machine"]}.' + (
-        ' Quick version: rough numbers.' if result['quick'] else '')
 
 
 def copy_pictures(output, pictures, parts):
@@ -133,38 +101,16 @@ def copy_pictures(output, pictures, parts):
         shutil.copyfile(output / name, pictures / f'performance_{name}')
 
 
-def options_of_peers():
-    """Return the options that whoever measures other simulators, too, takes."""
-    parser = argparse.ArgumentParser(add_help=False)
-    parser.add_argument('--quick', action='store_true', help='see that it runs: rough numbers')
-    parser.add_argument('--peers-python', default=sys.executable, metavar='PYTHON',
-                        help='interpreter with the packages of the extra bench '
-                        '(default: this one)')
-    parser.add_argument('--models', type=Path, metavar='DIR',
-                        help='folder of models that others have published, which are left out '
-                        'without it')
-    return parser
-
-
 def main(arguments=None):
     """Measure and write."""
-    parser = argparse.ArgumentParser(description=__doc__, parents=[options_of_peers()])
-    parser.add_argument('--only', action='append', choices=PARTS, help='this part alone')
-    parser.add_argument('--measured', action='store_true',
-                        help='measure nothing, take what lies in the output directory')
-    parser.add_argument('--output', type=Path, default=ROOT / 'benchmark_output',
-                        metavar='DIR', help='where results go (default: %(default)s)')
-    parser.add_argument('--document', type=Path, default=ROOT / 'doc' / 'performance.md')
-    options = parser.parse_args(arguments)
+    options, parser = options_of_page(arguments, __doc__, PARTS, 'performance.md')
     known = options.models or options.measured and (options.output / 'models.json').exists()
     parts = options.only or [part for part in PARTS if part != 'models' or known]
     if 'models' in parts and not (options.models or options.measured):
         parser.error('--only models: expected --models DIR, got none')
     if not options.measured:
         measure(parts, options.output, options.quick, options.peers_python, options.models)
-    texts = passages(options.output, parts)
-    pictures = options.document.parent / 'pictures'
-    pictures.mkdir(exist_ok=True)
+    texts, pictures = passages(options.output, parts), options.document.parent / 'pictures'
     copy_pictures(options.output, pictures, parts)
     if 'peers' in parts:
         texts['space speed'] = sentences.space_speed(pictures)

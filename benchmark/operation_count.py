@@ -13,34 +13,29 @@ operations bounds the time from below, as do all operations side by side where n
 both by the measured times of single operations in generated code.
 """
 
-import argparse
 from collections import Counter
 import ctypes
-import json
-from pathlib import Path
 import sys
 import time
 
 from evaluations import evaluate_again
-from machine import description, ROOT
+from machine import description, least, parser_of, write_result
 import numpy as np
 import peer_cases
 
-sys.path.insert(0, str(ROOT))
-
-from closedloop_dynamics.core.codegen.expression_graph import (  # noqa: E402,I100
+from closedloop_dynamics.core.codegen.expression_graph import (  # noqa: I100
     ADD, COSINE, DIVIDE, ExpressionGraph, LOAD, MULTIPLY, Q, QD, Routine, SINE, SUBTRACT)
-from closedloop_dynamics.core.codegen.function_table import (  # noqa: E402
+from closedloop_dynamics.core.codegen.function_table import (
     ACCELERATION, EVALUATION, OUTWARD)
-from closedloop_dynamics.core.codegen.machine_code import (  # noqa: E402
+from closedloop_dynamics.core.codegen.machine_code import (
     machine_code, PACKED, SCALAR)
-from closedloop_dynamics.core.codegen.routines import MechanismTrace  # noqa: E402
-from closedloop_dynamics.simulation.modeling import build_model  # noqa: E402
-from closedloop_dynamics.simulation.scene import load_scene, scene_names  # noqa: E402
-from closedloop_dynamics.simulation.simulation import Simulation  # noqa: E402
-from closedloop_dynamics.simulation.tree_choice import MOST_JOINTS  # noqa: E402
-from closedloop_dynamics.visual.tables import markdown_table, seconds, text_table  # noqa: E402
-from families import ladder  # noqa: E402
+from closedloop_dynamics.core.codegen.routines import MechanismTrace
+from closedloop_dynamics.simulation.modeling import build_model
+from closedloop_dynamics.simulation.scene import load_scene, scene_names
+from closedloop_dynamics.simulation.simulation import Simulation
+from closedloop_dynamics.simulation.tree_choice import MOST_JOINTS
+from closedloop_dynamics.visual.tables import markdown_table, seconds, text_table
+from families import ladder
 
 FUSED = 'multiply and add'
 # Signs of the kinds in tables.
@@ -64,6 +59,7 @@ MEASURED = ('three_rrr', 'carpet_scraper', 'four_bar', 'stewart_platform', 'delt
 # Operations in a chain and such chains side by side, to measure single operations; in vectors.
 LENGTH, CHAINS = 500, 8
 LENGTH_OF_VECTORS, CHAINS_OF_VECTORS = 100, 64
+ROUNDS = 25
 
 
 def tally(routine):
@@ -149,13 +145,14 @@ def rivals():
         print(f'no KKT systems: {error}. pip install -e .[bench] installs it.')
         return found
     for name in scene_names():
-        try:
-            scene = peer_cases.load_scene(name)
-            if scene.mechanism.name not in found and len(scene.mechanism.joints) <= MOST_JOINTS:
-                found[scene.mechanism.name] = sum(operations(scene).values())
-        except (KeyError, ValueError):
-            # A scene without gravity, or a mechanism with parts that it has no word for.
-            continue
+        machine = peer_cases.Machine(name, peer_cases.load_scene(name))
+        mechanism = machine.mechanism
+        if mechanism.name not in found and len(mechanism.joints) <= MOST_JOINTS:
+            try:
+                found[mechanism.name] = sum(operations(machine).values())
+            except (peer_cases.CannotExpress, peer_cases.NotAdapted):
+                # A mechanism with parts that it is not told.
+                continue
     return found
 
 
@@ -191,7 +188,7 @@ def repeated(kind, chains, length, form=SCALAR):
 def core_speed():
     """Return what operations take on this core [s]: in a chain, side by side, in vectors."""
     def one(kind, chains, length, form=SCALAR):
-        times = [least(repeated(kind, chains, number, form), 500) for number in (length, 0)]
+        times = [least_of(repeated(kind, chains, number, form), 500) for number in (length, 0)]
         return (times[0] - times[1]) / (chains * length)
 
     return {**{name: {kind: one(kind, chains, LENGTH) for kind in NEXT}
@@ -199,15 +196,13 @@ def core_speed():
             'in vectors': {FUSED: one(FUSED, CHAINS_OF_VECTORS, LENGTH_OF_VECTORS, PACKED)}}
 
 
-def least(function, number):
+def least_of(function, number):
     """Return the least CPU time of a call [s]."""
-    times = []
-    for _ in range(25):
-        begin = time.thread_time()
+    def calls():
         for _ in range(number):
             function()
-        times.append((time.thread_time() - begin) / number)
-    return min(times)
+
+    return least({'calls': calls}, ROUNDS, time.thread_time)['calls'] / number
 
 
 def measured_times():
@@ -215,7 +210,7 @@ def measured_times():
     result = {}
     for name in MEASURED:
         one = Simulation(peer_cases.load_scene(name))
-        result[one.mechanism.name] = least(lambda: evaluate_again(
+        result[one.mechanism.name] = least_of(lambda: evaluate_again(
             one.data.system, one.position, one.velocity, 2000), 1) / 2000
     return result
 
@@ -312,18 +307,10 @@ def core_text(result):
 
 def main(arguments=None):
     """Run the benchmark."""
-    parser = argparse.ArgumentParser(description=__doc__)
-    parser.add_argument('--quick', action='store_true', help='count, without measuring')
-    parser.add_argument('--output', type=Path, default=ROOT / 'benchmark_output',
-                        metavar='DIR', help='where results go (default: %(default)s)')
-    options = parser.parse_args(arguments)
+    options = parser_of(__doc__, 'count, without measuring', output=True).parse_args(arguments)
     result = measure(options.quick)
-    options.output.mkdir(parents=True, exist_ok=True)
-    (options.output / 'operation_count.json').write_text(json.dumps(result, indent=1))
-    print(result['machine'], table(result, text_table), sep='\n\n')
-    if not options.quick:
-        print(f'\n{core_text(result)}')
-    print(f'\nwritten: {options.output}/operation_count.json')
+    write_result(options, 'operation_count', result, table(result, text_table),
+                 *([] if options.quick else [core_text(result)]))
     return 0
 
 

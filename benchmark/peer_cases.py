@@ -2,156 +2,98 @@
 # SPDX-License-Identifier: Apache-2.0
 
 """
-What all simulators are given: a mechanism, a start, torques; and the answer they should give.
+What all simulators are given: a machine, a motion of it; and the answer they should give.
 
-Everything is read from the shipped scenes, nothing is copied by hand.
+Everything is read from the shipped scenes or from models of others, nothing is copied by hand.
 """
 
 from dataclasses import dataclass, replace
-import sys
+import os
+from pathlib import Path
+import shlex
+import subprocess
+import time
 from typing import Callable
 
-from machine import ROOT
+from closedloop_dynamics.formats.in_space import in_space
+from closedloop_dynamics.formats.registry import is_model, read_model
+from closedloop_dynamics.mechanism.mechanism import GROUND, REVOLUTE, SPHERICAL
+from closedloop_dynamics.mechanism.reader import with_cuts
+from closedloop_dynamics.simulation import scene as scenes
+from closedloop_dynamics.simulation.errors import SimulationError
+from closedloop_dynamics.simulation.model_scene import assembled, scene_of_model
+from closedloop_dynamics.simulation.simulation import Simulation
+from closedloop_dynamics.studies.reference import in_angles
 import numpy as np
 
-sys.path.insert(0, str(ROOT))
-
-from closedloop_dynamics.core import types as t  # noqa: E402,I100
-from closedloop_dynamics.engine import native  # noqa: E402
-from closedloop_dynamics.mechanism.reader import with_cuts  # noqa: E402
-from closedloop_dynamics.simulation import scene as scenes  # noqa: E402
-from closedloop_dynamics.simulation.simulation import Simulation  # noqa: E402
-
-# What computes the answer, and what confirms it: an integrator and its tolerance.
-REFERENCES = (('dop853', 1e-13), ('dopri5', 1e-13))
 # Trees of a scene: its own, and others that may suit other simulators better, by the joint that is
 # cut.
 SHIPPED = 'shipped'
 OTHER_TREES = {'bricard': {'chain': 'joint_6'}}
-# Simulators without a cut hinge hold two points of its axis together, so far apart [m].
-HINGE = 1.0
+# Computing a motion is given up after so long [s].
+PATIENCE = 8.0
+# What moves less than this stands still [rad or m].
+STILL = 1e-6
+
+
+class CannotExpress(ValueError):
+    """The simulator has no word for a part of the machine."""
+
+    text = 'cannot express it'
+
+
+class NotAdapted(ValueError):
+    """The simulator might know the machine, but this benchmark does not tell it."""
+
+    text = 'our adapter does not'
+
+
+class Disagreement(ValueError):
+    """The machine that the simulator was told is another one: an error of the benchmark."""
 
 
 @dataclass(frozen=True)
-class Case:
+class Machine:
     """
-    A motion to be computed.
+    A machine that simulators are told.
 
     Attributes
     ----------
     name : str
     scene : scene.Scene
-        With gravity as its only effect.
-    tau : ndarray, shape (nv,)
-        Constant joint torques and forces [N m, N].
-    duration : float
-        [s].
-    q : ndarray, shape (nq,)
-        Start: assembled, the loops closed to rounding. Quaternions are x, y, z, w.
-    qd : ndarray, shape (nv,)
-        Rates there.
-    end : ndarray, shape (nq,)
-        Joint coordinates at the end, as exactly as it goes [rad, m].
-    uncertainty : float
-        What two methods disagree by at the end [rad, m].
+        With its effects and start.
+    path : pathlib.Path or None
+        File of a model, which other simulators may read by themselves.
 
     """
 
     name: str
     scene: object
-    tau: np.ndarray
-    duration: float
-    q: np.ndarray
-    qd: np.ndarray
-    end: np.ndarray
-    uncertainty: float
+    path: Path = None
 
-    def error(self, q):
-        """Return how far coordinates are from the end [rad, m]."""
-        return float(np.abs(self.scene.mechanism.coordinates.apart(q, self.end)).max())
+    @property
+    def mechanism(self):
+        """Return the mechanism of the scene."""
+        return self.scene.mechanism
 
+    @property
+    def gravity(self):
+        """Return the acceleration of gravity, shape (3,) [m/s^2]."""
+        return next(((*effect.acceleration, 0.0)[:3] for effect in self.scene.effects.values()
+                     if type(effect).__name__ == 'Gravity'), (0.0, 0.0, 0.0))
 
-@dataclass(frozen=True)
-class Element:
-    """
-    A joint of a tree, and the body that it carries, as all simulators in space take them.
-
-    Attributes
-    ----------
-    name, body : str
-        Of both.
-    parent : int
-        Number of the element that carries it, counted from 1; 0 for the ground.
-    type : str
-        ``'revolute'``, ``'prismatic'``, ``'universal'`` or ``'spherical'``.
-    axes : tuple of str
-        Of the first three: ``'x'``, ``'y'`` or ``'z'`` of the element's frame.
-    position : tuple of 3 floats
-        In the parent's frame [m].
-    orientation : tuple of 4 floats
-        There: a quaternion x, y, z, w.
-    mass : float
-        [kg].
-    center_of_mass : tuple of 3 floats
-        In the element's frame [m].
-    inertia : tuple of 3 floats
-        About it, along the frame's axes [kg m^2].
-
-    """
-
-    name: str
-    body: str
-    parent: int
-    type: str  # noqa: A003
-    axes: tuple
-    position: tuple
-    orientation: tuple
-    mass: float
-    center_of_mass: tuple
-    inertia: tuple
-
-    def __post_init__(self):
-        """Refuse what the others are not told."""
-        if self.type not in ('revolute', 'prismatic', 'universal', 'spherical'):
-            raise ValueError(f'{self.name}: no joint {self.type} here')
+    def require_gravity_alone(self):
+        """Raise CannotExpress where the scene has other effects."""
+        kept = under_gravity(self.scene).effects
+        others = [name for name in self.scene.effects if name not in kept]
+        if others:
+            raise CannotExpress(f'effects ({", ".join(others)})')
 
 
-@dataclass(frozen=True)
-class Run:
-    """
-    One way to compute a motion.
-
-    Attributes
-    ----------
-    engine, line, setting : str
-        Simulator; integrator and how it is called; step size or tolerance.
-    execute : callable
-        Computes the motion from its start, returns the joint coordinates at its end.
-    prepare : callable, optional
-        Called before each ``execute``, not timed.
-
-    """
-
-    engine: str
-    line: str
-    setting: str
-    execute: Callable
-    prepare: Callable = None
-
-
-def gravity(scene):
-    """Return the acceleration of gravity of a scene that has no other effect [m/s^2]."""
-    effects = list(scene.effects.values())
-    if [type(effect).__name__ for effect in effects] != ['Gravity']:
-        raise ValueError(f'{scene.name}: expected gravity alone, got {list(scene.effects)}')
-    return effects[0].acceleration
-
-
-def simulation(scene, integrator, value, duration, adaptive=True):
-    """Return a simulation with one method: a tolerance, or a step size [s]."""
-    keys = {'step_size': duration, 'tolerance': value} if adaptive else {'step_size': value}
-    return Simulation(replace(
-        scene, method=replace(scene.method, integrator=integrator, **keys)))
+def under_gravity(scene):
+    """Return a scene with no other effect than gravity."""
+    return replace(scene, effects={name: effect for name, effect in scene.effects.items()
+                                   if type(effect).__name__ == 'Gravity'})
 
 
 def trees(name):
@@ -161,9 +103,7 @@ def trees(name):
 
 def load_scene(name, tree=SHIPPED):
     """
-    Return a shipped scene as the others want it: joints depth first, about no negative axes.
-
-    Under gravity alone: the Delta robot's stops are no part of a comparison.
+    Return a shipped scene under gravity alone, its joints depth first, as others number them.
 
     Parameters
     ----------
@@ -173,31 +113,18 @@ def load_scene(name, tree=SHIPPED):
         Of ``trees``.
 
     """
-    scene = scenes.load_scene(name)
-    scene = replace(scene, effects={'gravity': scene.effects['gravity']})
+    scene = under_gravity(scenes.load_scene(name))
+    start = scene.initial
     if tree != SHIPPED:
-        start = scene.initial
         if any(start.position) or any(start.velocity):
             raise ValueError(f'{name}: expected a start at rest as drawn, got {start}')
         scene = replace(scene, initial=replace(start, turned={}), mechanism=with_cuts(
             scene.mechanism, (OTHER_TREES[name][tree],)))
-    scene = _forward(scene)
-    mechanism, children = scene.mechanism, {}
-    for joint in mechanism.joints:
-        children.setdefault(joint.parent, []).append(joint)
-
-    def branch(body):
-        for joint in children.get(body, ()):
-            yield joint
-            yield from branch(joint.child)
-
-    joints = tuple(branch('ground'))
-    if joints == mechanism.joints:
-        return scene
-    ordered = replace(mechanism, joints=joints)
-    before, after = mechanism.coordinates, ordered.coordinates
-    start = scene.initial
-    return replace(scene, mechanism=ordered, initial=replace(
+        start = scene.initial
+    before = scene.mechanism.coordinates
+    mechanism = replace(scene.mechanism, joints=tuple(depth_first(scene.mechanism)))
+    after = mechanism.coordinates
+    return replace(scene, mechanism=mechanism, initial=replace(
         start,
         position=tuple(after.filled(
             'position', before.by_name('position', start.position), after.start())),
@@ -205,95 +132,52 @@ def load_scene(name, tree=SHIPPED):
             'velocity', before.by_name('velocity', start.velocity), np.zeros(after.nv)))))
 
 
-def _forward(scene):
-    """Return a scene whose passive joints about negative axes turn the other way."""
-    known, start, joints = scene.mechanism.coordinates, scene.initial, []
-    position, velocity = np.array(start.position), np.array(start.velocity)
-    for joint in scene.mechanism.joints:
-        if joint.axis is not None and sum(joint.axis) < 0.0 and not joint.actuated:
-            joint = replace(joint, axis=tuple(0.0 - number for number in joint.axis))
-            position[known.coordinates[joint.name]] *= -1.0
-            velocity[known.rates[joint.name]] *= -1.0
-        joints.append(joint)
-    return replace(scene, mechanism=replace(scene.mechanism, joints=tuple(joints)),
-                   initial=replace(start, position=tuple(position), velocity=tuple(velocity)))
+def depth_first(mechanism, body=GROUND):
+    """Yield the joints that a body carries, each before those that it carries itself."""
+    for joint in mechanism.joints:
+        if joint.parent == body:
+            yield joint
+            yield from depth_first(mechanism, joint.child)
 
 
-def elements(mechanism):
-    """Return the joints of a mechanism as a list of ``Element``; those of the plane, too."""
-    bodies = {body.name: body for body in mechanism.bodies}
-    numbers = {'ground': 0}
-    found = []
-    for number, joint in enumerate(mechanism.joints, start=1):
-        numbers[joint.child] = number
-        body, orientation = bodies[joint.child], joint.orientation
-        if mechanism.planar:
-            # Slides move along x of the frame that they turn by ``angle``.
-            axes = ('x' if joint.type == 'prismatic' else 'z',)
-            orientation = (0.0, 0.0, np.sin(0.5 * joint.angle), np.cos(0.5 * joint.angle))
-            inertia = 3 * (body.inertia,)
-        else:
-            axes = tuple(_letter(axis) for axis in (joint.axis, joint.second_axis) if axis)
-            if any(body.inertia[3:]):
-                raise ValueError(f'{body.name}: expected the principal axes of its frame')
-            inertia = body.inertia[:3]
-        found.append(Element(
-            joint.name, joint.child, numbers[joint.parent], joint.type, axes,
-            _in_space(joint.position), tuple(orientation), body.mass,
-            _in_space(body.center_of_mass), inertia))
-    return found
-
-
-def point_pairs(mechanism):
+def with_balls_at_loops(mechanism, places=(-0.5, 0.5)):
     """
-    Return the points that loops hold together.
+    Return a mechanism in space without hinges that close loops, which other simulators have not.
 
-    Returns
-    -------
-    list of (int, tuple of 3 floats, int, tuple of 3 floats)
-        Numbers of two elements, and a point in the frame of each [m]; of a hinge in space two.
-
+    Two balls at places on the axis [m] stand for one; in the plane one suffices.
     """
-    numbers = {'ground': 0}
-    numbers.update((joint.child, k) for k, joint in enumerate(mechanism.joints, start=1))
-    found = []
-    for cut in mechanism.cut_joints:
-        if cut.type not in ('revolute', 'spherical'):
-            raise ValueError(f'{cut.name}: no cut joint {cut.type} here')
-        points = np.array([_in_space(cut.point_a), _in_space(cut.point_b)])
-        along = [np.zeros((2, 3))]
-        if cut.type == 'revolute' and not mechanism.planar:
-            half = 0.5 * HINGE * np.array([cut.axis_a, cut.axis_b])
-            along = [half, -half]
-        for step in along:
-            a, b = (tuple(point.tolist()) for point in points + step)
-            found.append((numbers[cut.body_a], a, numbers[cut.body_b], b))
-    return found
+    whole, cuts = in_space(mechanism), []
+    for cut in whole.cut_joints:
+        for along in () if cut.type != REVOLUTE else (0.0,) if mechanism.planar else places:
+            a, b = (tuple((np.array(point) + along * np.array(axis)).tolist()) for point, axis in (
+                (cut.point_a, cut.axis_a), (cut.point_b, cut.axis_b)))
+            cuts.append(replace(cut, name=f'{cut.name}_at_{along:g}', type=SPHERICAL, point_a=a,
+                                point_b=b, axis_a=None, axis_b=None))
+        if cut.type != REVOLUTE:
+            cuts.append(cut)
+    return replace(whole, cut_joints=tuple(cuts))
 
 
-def _in_space(vector):
-    return (*vector, 0.0)[:3]
+def files(directory):
+    """Return the files of models in a folder and below, sorted."""
+    return sorted(path for path in Path(directory).rglob('*')
+                  if path.is_file() and is_model(path) and path.suffix.lower() != '.xacro')
 
 
-def _letter(axis):
-    return 'xyz'[[(1.0, 0.0, 0.0), (0.0, 1.0, 0.0), (0.0, 0.0, 1.0)].index(tuple(axis))]
+def name_of(path):
+    """Return what a model is called in the tables: its file, or the folder of a plain name."""
+    return path.parent.name if path.stem in ('robot', 'model', 'scene') else path.stem
 
 
-def build_case(name, scene, torque, duration):
-    """Return a case with its answer, computed by two methods."""
-    gravity(scene)
-    ends = []
-    for integrator, tolerance in REFERENCES:
-        run = simulation(scene, integrator, tolerance, duration)
-        start = run.position, run.velocity
-        tau = run.joint_torques(torque)
-        run.advance(tau, 1)
-        ends.append(run.position)
-    case = Case(name, scene, tau, duration, *start, ends[0], 0.0)
-    return replace(case, uncertainty=case.error(ends[1]))
+def published(path):
+    """Return the machine of a model as its authors wrote it, moved by gravity alone."""
+    imported, found, notes = assembled(read_model(path))
+    if not found.closed:
+        raise SimulationError(' '.join(notes))
+    return Machine(name_of(path), under_gravity(scene_of_model(path, imported)), path)
 
 
-def random_states(scene, count, seed=1):
+def random_states(scene, count, apart=0.1, fast=2.0, push=5.0, drives=False):
     """
     Return assembled states around a scene's start, with random rates and torques.
 
@@ -303,63 +187,184 @@ def random_states(scene, count, seed=1):
         Where the states are near.
     count : int
         How many.
-    seed : int
-        Of the choice.
+    apart, fast, push : float
+        Bounds of displacements [rad, m], rates and torques.
+    drives : bool
+        Whether torques act on drives alone.
 
     Returns
     -------
     list of (q, qd, tau), of shapes (nq,), (nv,), (nv,)
 
     """
-    rng = np.random.default_rng(seed)
-    run = Simulation(scene)
-    names = scene.mechanism.coordinates
-    nv, start = names.nv, np.array(scene.initial.position)
+    rng, run, names = np.random.default_rng(1), Simulation(scene), scene.mechanism.coordinates
+    start, acting = run.position, np.ones(names.nv)
+    if drives:
+        acting[:] = np.isin(np.arange(names.nv), list(names.actuated))
     states = []
     for _ in range(count):
-        guess = names.moved(start, rng.uniform(-0.1, 0.1, nv))
-        run.set_state(guess, rng.uniform(-2.0, 2.0, nv))
-        states.append((run.position, run.velocity, rng.uniform(-5.0, 5.0, nv)))
+        run.set_state(names.moved(start, rng.uniform(-apart, apart, names.nv)),
+                      rng.uniform(-fast, fast, names.nv))
+        states.append((run.position, run.velocity,
+                       acting * rng.uniform(-push, push, names.nv)))
     return states
 
 
-class Referee:
-    """Our own view of any simulator's state: closure error, poses, accelerations."""
+def run_compiler(variable, default, arguments):
+    """Run the compiler that a variable of the environment names; NotAdapted where it fails."""
+    try:
+        subprocess.run([*shlex.split(os.environ.get(variable, default)), *map(str, arguments)],
+                       check=True, capture_output=True, text=True)
+    except (OSError, subprocess.CalledProcessError) as error:
+        lines = (getattr(error, 'stderr', '') or str(error)).strip().splitlines()
+        raise NotAdapted(f'not compiled: {lines[0] if lines else error}') from error
 
-    def __init__(self, scene):
-        """Build the mechanism."""
-        self.simulation = Simulation(scene)
-        self.mechanism = scene.mechanism
 
-    def acceleration(self, q, qd, tau):
-        """Return our joint accelerations, shape (nv,)."""
-        system = self.simulation.data.system
-        system.tau[:] = tau
-        native.evaluate(system.native, q, qd)
-        return system.qdd.copy()
+@dataclass(frozen=True)
+class Line:
+    """
+    One way to compute a motion, at settings from coarse to fine.
+
+    Attributes
+    ----------
+    engine, name : str
+        Simulator; integrator and how it is called.
+    settings : sequence of str
+        Step sizes or tolerances.
+    run : callable
+        Takes the number of a setting, returns a function that computes the motion from its start
+        and returns the joint coordinates at its end; its attribute ``prepare``, if it has one, is
+        called before and not timed.
+    targets : sequence of float
+        What errors the settings ask for, of a method that is asked for one.
+
+    """
+
+    engine: str
+    name: str
+    settings: tuple
+    run: Callable
+    targets: tuple = ()
+
+
+class Case:
+    """
+    A motion to be computed, and its answer.
+
+    Parameters
+    ----------
+    name : str
+    machine : Machine
+    torques : ndarray, shape (n, number of torques of ``advance``)
+        Held one after the other [N m, N].
+    duration : float
+        Of all together [s].
+    outputs : int
+        Instants at which positions are compared, at even distances.
+    references : sequence of (str, float)
+        Integrator and tolerance of what computes the answer and of what confirms it: the first
+        two that succeed.
+    known : sequence of float
+        How well the answer must be known [rad or m]: less well only where it is so for less than
+        the share ``shortest`` of the motion, which ends where it is not.
+    shortest : float
+
+    Attributes
+    ----------
+    span, step : float
+        How long a torque is held; the longest step that ends at outputs and torques [s].
+    q, qd : ndarrays, shapes (nq,) and (nv,)
+        Start: assembled, the loops closed to rounding. Quaternions are x, y, z, w.
+    positions : ndarray, shape (outputs, nq)
+        As exactly as it goes [rad, m].
+    uncertainty : float
+        What two methods disagree by [rad, m].
+    still : bool
+        Whether nothing moves.
+
+    """
+
+    def __init__(self, name, machine, torques, duration, outputs=1,
+                 references=(('dop853', 1e-13), ('dopri5', 1e-13)), known=(np.inf,), shortest=1.0):
+        self.name, self.machine, self.torques, self.duration = name, machine, torques, duration
+        self.coordinates = machine.mechanism.coordinates
+        self.span = duration / len(torques)
+        self.step, self._outputs = min(self.span, duration / outputs), outputs
+        self._first = first = Simulation(machine.scene)
+        self.q, self.qd = first.position.copy(), first.velocity.copy()
+        found, why = [], []
+        for integrator, tolerance in references:
+            try:
+                found.append(self.run(integrator=integrator, tolerance=tolerance)[0])
+            except SimulationError as error:
+                why.append(f'{integrator}: {error}')
+            if len(found) == 2:
+                break
+        else:
+            raise SimulationError('; '.join(why) or 'nothing proves the reference')
+        apart = np.array([self._apart(*pair) for pair in zip(*found)])
+        for most in known:
+            beyond = np.flatnonzero(~(apart <= most))
+            kept = int(beyond[0]) if len(beyond) else outputs
+            if kept >= shortest * outputs:
+                break
+        else:
+            raise SimulationError('two methods do not agree')
+        self.positions, self.uncertainty = found[0][:kept], float(apart[:kept].max())
+        self.still = float(np.abs(self.positions - self.q).max()) < STILL
+        self.torques = torques[:max(1, round(len(torques) * kept / outputs))]
+        self.duration, self._outputs = duration * kept / outputs, kept
+        self.span = self.duration / len(self.torques)
+
+    def _apart(self, q, other):
+        return float(np.abs(in_angles(self.coordinates, q, other)).max(initial=0.0))
+
+    def error(self, q):
+        """Return how far coordinates are from the end [rad, m]."""
+        return self._apart(q, self.positions[-1])
 
     def closure(self, q):
-        """Return the largest closure error [m, rad]."""
-        state = self.simulation.data.integrated
-        state[:] = 0.0
-        names = self.mechanism.coordinates
+        """Return the largest closure error of coordinates [m, rad]."""
+        if not np.isfinite(q).all():
+            return np.nan
+        state = self._first.data.integrated
         # Quaternions of norm 1.
-        state[:len(q)] = names.moved(q, np.zeros(names.nv))
-        self.simulation.data.touch()
-        return self.simulation.closure
+        state[:len(q)] = self.coordinates.moved(q, np.zeros(self.coordinates.nv))
+        state[len(q):] = 0.0
+        self._first.data.touch()
+        return self._first.closure
 
-    def poses(self, q, qd):
-        """Return {body: (pose, velocity)} of centres of mass in the plane: x, y, angle each."""
-        system = self.simulation.data.system
-        native.outward(system.model, q, qd, system.work)
-        result, row = {}, 0
-        for j in self.simulation.data.decomposition.joint_order:
-            row += 1
-            name = self.mechanism.joints[j].child
-            x, y = next(b.center_of_mass for b in self.mechanism.bodies if b.name == name)
-            b = system.work.body[row]
-            rx, ry = b[t.COS] * x - b[t.SIN] * y, b[t.SIN] * x + b[t.COS] * y
-            result[name] = (
-                (b[t.PX] + rx, b[t.PY] + ry, b[t.ALPHA]),
-                (b[t.VX] - b[t.OMEGA] * ry, b[t.VY] + b[t.OMEGA] * rx, b[t.OMEGA]))
-        return result
+    def stepped(self, engine, name, steps, run):
+        """
+        Return a line of fixed steps, of about these sizes [s].
+
+        ``run`` takes the number of steps while a torque is held, and their size.
+        """
+        counts = sorted({max(1, round(self.span / step)) for step in steps})
+        return Line(engine, name, [f'step {self.span / count:.3g} s' for count in counts],
+                    lambda number: run(counts[number], self.span / counts[number]))
+
+    def simulation(self, **method):
+        """Return a simulation by a method, that of the scene but for some keys."""
+        simulation = Simulation(replace(self.machine.scene, method=replace(
+            self.machine.scene.method.without_budget, stabilisation='projection',
+            baumgarte_time_constant=None, **{'step_size': self.step, **method})))
+        simulation.stepping.monitor.sampling = False
+        return simulation
+
+    def run(self, **method):
+        """Return positions at the outputs, and the simulation at the end."""
+        simulation, positions, begin = self.simulation(**method), [], time.thread_time()
+        steps = round(self.duration / self.step)
+        for number in range(1, steps + 1):
+            simulation.advance(self.torques[(number - 1) * len(self.torques) // steps], 1)
+            if number * self._outputs % steps == 0:
+                positions.append(simulation.position.copy())
+                if time.thread_time() - begin > PATIENCE:
+                    raise SimulationError(f'{PATIENCE:g} s of computing were not enough')
+        return np.array(positions), simulation
+
+    def largest_error(self, **method):
+        """Return the largest error of a method at all outputs, and the simulation at the end."""
+        positions, simulation = self.run(**method)
+        return max(map(self._apart, positions, self.positions)), simulation

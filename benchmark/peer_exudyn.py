@@ -2,7 +2,7 @@
 # SPDX-License-Identifier: Apache-2.0
 
 """
-Exudyn (Gerstmayr), for the comparison in peers.py.
+Exudyn (Gerstmayr), beside us.
 
 Built for flexible multibody systems in redundant coordinates with implicit integration: here
 bodies with three coordinates each, every joint a constraint, generalized alpha. As fast as it was
@@ -14,107 +14,121 @@ import importlib.metadata
 import exudyn as exu
 from exudyn import itemInterface as item
 import numpy as np
-from peer_cases import gravity, Referee, Run
+from peer_cases import NotAdapted
+
+from closedloop_dynamics.mechanism.mechanism import GROUND, REVOLUTE  # noqa: I100
 
 NAME = 'Exudyn'
 # Label: (spectral radius, constraints on velocity level).
 METHODS = {'generalized alpha': (0.9, False), 'trapezoidal, index 2': (1.0, True)}
-STEPS = (1e-2, 5e-3, 2e-3, 1e-3, 5e-4, 2e-4)
-QUICK_STEPS = (1e-2, 5e-3)
 NEWTON_TOLERANCE = 1e-10
 
 
 class Engine:
     """
-    One scene in Exudyn.
+    One machine in Exudyn.
 
     Parameters
     ----------
-    scene : scene.Scene
-        With gravity alone, all joints and cut joints revolute.
+    machine : peer_cases.Machine
+        In the plane, all joints and cut joints revolute.
+
+    Raises
+    ------
+    CannotExpress, NotAdapted
 
     """
 
     name, version = NAME, importlib.metadata.version('exudyn')
-    softness, others = None, {}
+    agreed, limit, others = 1e-5, None, {}
 
-    def __init__(self, scene):
+    def __init__(self, machine):
         """Remember the mechanism: systems are built in the state they start from."""
-        self._mechanism, self._gravity = scene.mechanism, gravity(scene)
-        self._referee = Referee(scene)
-        self._system = None
+        self._mechanism, self._gravity = machine.mechanism, machine.gravity
+        machine.require_gravity_alone()
+        if not self._mechanism.planar or self._mechanism.couplings:
+            raise NotAdapted('only planar mechanisms without couplings are built in Exudyn here')
+        for one in (*self._mechanism.joints, *self._mechanism.cut_joints):
+            if one.type != REVOLUTE:
+                raise NotAdapted(f'{one.name}: a joint {one.type} is not built in Exudyn here')
+
+    def _poses(self, q, qd):
+        """Return {body: (x, y, angle), and their rates} of the centres of mass."""
+        centers = {body.name: complex(*body.center_of_mass) for body in self._mechanism.bodies}
+        # Of the bodies' origins: place, angle, velocity and angular velocity; x + i y.
+        origins, found = {GROUND: (0.0, 0.0, 0.0, 0.0)}, {}
+        for joint, turned, rate in zip(self._mechanism.joints, q, qd):
+            place, angle, velocity, spin = origins[joint.parent]
+            arm = np.exp(1j * angle) * complex(*joint.position)
+            place, velocity = place + arm, velocity + 1j * spin * arm
+            angle, spin = angle + joint.angle + turned, spin + rate
+            origins[joint.child] = place, angle, velocity, spin
+            arm = np.exp(1j * angle) * centers[joint.child]
+            place, velocity = place + arm, velocity + 1j * spin * arm
+            found[joint.child] = ((place.real, place.imag, angle),
+                                  (velocity.real, velocity.imag, spin))
+        return found
 
     def _build(self, q, qd, tau):
-        """Return a system in a state under joint torques, and the node of each body."""
-        container = exu.SystemContainer()
-        system = container.AddSystem()
-        objects, places = {'ground': system.AddObject(item.ObjectGround())}, {'ground': (0.0, 0.0)}
-        nodes, poses = {}, self._referee.poses(q, qd)
+        """Build a system in a state under joint torques, with the node of each body."""
+        self._container = exu.SystemContainer()
+        self._system = system = self._container.AddSystem()
+        objects, centers = {GROUND: system.AddObject(item.ObjectGround())}, {GROUND: (0.0, 0.0)}
+        self._nodes, poses = {}, self._poses(q, qd)
         for body in self._mechanism.bodies:
             pose, velocity = poses[body.name]
-            nodes[body.name] = system.AddNode(item.NodeRigidBody2D(
+            self._nodes[body.name] = system.AddNode(item.NodeRigidBody2D(
                 referenceCoordinates=list(pose), initialVelocities=list(velocity)))
             objects[body.name] = system.AddObject(item.ObjectRigidBody2D(
-                nodeNumber=nodes[body.name], mass=body.mass, inertia=body.inertia))
-            places[body.name] = body.center_of_mass
+                nodeNumber=self._nodes[body.name], mass=body.mass, inertia=body.inertia))
+            centers[body.name] = body.center_of_mass
             system.AddLoad(item.LoadMassProportional(
                 markerNumber=system.AddMarker(item.MarkerBodyMass(
-                    bodyNumber=objects[body.name])), loadVector=[*self._gravity, 0.0]))
+                    bodyNumber=objects[body.name])), loadVector=list(self._gravity)))
 
-        def join(body_a, point_a, body_b, point_b):
+        def join(*ends):
             system.AddObject(item.ObjectJointRevolute2D(markerNumbers=[
                 system.AddMarker(item.MarkerBodyPosition(bodyNumber=objects[body], localPosition=[
-                    point[0] - places[body][0], point[1] - places[body][1], 0.0]))
-                for body, point in ((body_a, point_a), (body_b, point_b))]))
+                    *np.subtract(point, centers[body]), 0.0])) for body, point in ends]))
 
         for joint, torque in zip(self._mechanism.joints, tau):
-            join(joint.parent, joint.position, joint.child, (0.0, 0.0))
+            join((joint.parent, joint.position), (joint.child, (0.0, 0.0)))
             for body, sign in ((joint.child, 1.0), (joint.parent, -1.0)):
-                if torque != 0.0 and body != 'ground':
+                if torque != 0.0 and body != GROUND:
                     system.AddLoad(item.LoadTorqueVector(
                         markerNumber=system.AddMarker(item.MarkerBodyRigid(
                             bodyNumber=objects[body])), loadVector=[0.0, 0.0, sign * torque]))
         for cut in self._mechanism.cut_joints:
-            join(cut.body_a, cut.point_a, cut.body_b, cut.point_b)
+            join((cut.body_a, cut.point_a), (cut.body_b, cut.point_b))
         system.Assemble()
-        return container, system, nodes
+
+    def _relative(self, angles):
+        """Return the differences of bodies' angles, or of derivatives, in joints."""
+        angles = {GROUND: 0.0, **angles}
+        return np.array([angles[joint.child] - angles[joint.parent]
+                         for joint in self._mechanism.joints])
 
     def acceleration(self, q, qd, tau):
         """Return joint accelerations, shape (nv,): those that a run starts from."""
-        container, system, _ = self._build(q, qd, tau)
-        solver = exu.MainSolverImplicitSecondOrder()
-        settings = _settings(1e-5, 1e-5)
-        solver.InitializeSolver(system, settings)
-        rates = np.array(system.systemData.GetODE2Coordinates_tt())
-        solver.FinalizeSolver(system, settings)
-        angular = {'ground': 0.0}
-        for k, body in enumerate(self._mechanism.bodies):
-            angular[body.name] = rates[3 * k + 2]
-        del container
-        return np.array([angular[joint.child] - angular[joint.parent]
-                         for joint in self._mechanism.joints])
+        self._build(q, qd, tau)
+        solver, settings = exu.MainSolverImplicitSecondOrder(), _settings(1e-5, 1e-5)
+        solver.InitializeSolver(self._system, settings)
+        rates = np.array(self._system.systemData.GetODE2Coordinates_tt())
+        solver.FinalizeSolver(self._system, settings)
+        return self._relative(dict(zip(self._nodes, rates[2::3])))
 
     def timings(self, q, qd, tau):
         """Return {what: function of a number of steps}."""
         def steps(count):
             self._system.SolveDynamic(_settings(1e-3 * count / 100.0, 1e-5))
 
-        steps.prepare = lambda: self._keep(q, qd, tau)
+        steps.prepare = lambda: self._build(q, qd, tau)
         return {'implicit step': steps}
 
-    def _keep(self, q, qd, tau):
-        self._container, self._system, self._nodes = self._build(q, qd, tau)
-
-    def runs(self, case, quick):
-        """Return the runs of a case."""
-        runs = []
-        for label, method in METHODS.items():
-            for step in QUICK_STEPS if quick else STEPS:
-                settings = _settings(case.duration, step, *method)
-                runs.append(Run(
-                    NAME, label, f'step {step:g} s', self._motion(case, settings),
-                    lambda case=case: self._keep(case.q, case.qd, case.tau)))
-        return runs
+    def lines(self, case, plan):
+        """Return the ways to compute a case."""
+        return [case.stepped(NAME, label, plan.steps, lambda _, step, method=method: self._motion(
+            case, _settings(case.duration, step, *method))) for label, method in METHODS.items()]
 
     def _motion(self, case, settings):
         def execute():
@@ -123,16 +137,15 @@ class Engine:
             except (ValueError, RuntimeError):
                 solved = False
             return self._position() if solved else np.full(len(case.q), np.nan)
+
+        execute.prepare = lambda: self._build(case.q, case.qd, case.torques[0])
         return execute
 
     def _position(self):
         """Return the joint coordinates."""
-        angle = {'ground': 0.0}
-        for body, node in self._nodes.items():
-            angle[body] = float(np.ravel(self._system.GetNodeOutput(
-                node, exu.OutputVariableType.Rotation))[-1])
-        return np.array([angle[joint.child] - angle[joint.parent] - joint.angle
-                         for joint in self._mechanism.joints])
+        return self._relative({body: float(np.ravel(self._system.GetNodeOutput(
+            node, exu.OutputVariableType.Rotation))[-1]) for body, node in self._nodes.items()}
+        ) - [joint.angle for joint in self._mechanism.joints]
 
 
 def _settings(duration, step, radius=0.9, index_2=False):

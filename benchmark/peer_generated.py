@@ -2,7 +2,7 @@
 # SPDX-License-Identifier: Apache-2.0
 
 """
-Code that CasADi generates for one mechanism, for the comparison in peers.py.
+Code that CasADi generates for one mechanism, beside us.
 
 What an expert writes for a mechanism without this package: the inertia matrix by composite bodies,
 bias forces by Newton and Euler's equations, loops as rows below them, and a sparse LDL
@@ -14,20 +14,19 @@ equations repeat others is decided once; at singular positions of the mechanism 
 from collections import Counter
 import ctypes
 from dataclasses import dataclass
-import os
 from pathlib import Path
-import shlex
-import subprocess
 import tempfile
 
 import casadi as ca
 import numpy as np
-from peer_cases import elements, gravity, random_states
-from peer_errors import NotAdapted
+from peer_cases import NotAdapted, random_states, run_compiler
 from scipy.linalg import qr
 
-from closedloop_dynamics.mechanism.mechanism import GROUND  # noqa: I100
-from closedloop_dynamics.mechanism.rotations import in_three, of_quaternion
+from closedloop_dynamics.formats.in_space import in_space  # noqa: I100
+from closedloop_dynamics.mechanism.inertia import inertia_matrix
+from closedloop_dynamics.mechanism.mechanism import (
+    GROUND, PRISMATIC, REVOLUTE, SPHERICAL, UNIVERSAL)
+from closedloop_dynamics.mechanism.rotations import of_quaternion
 
 NAME = 'KKT system by CasADi'
 # What the code is compiled with; so declared, gcc computes sines in vectors.
@@ -156,12 +155,11 @@ class Link:
 
 class System:
     """
-    The equations of a mechanism under gravity.
+    The equations of a machine under gravity.
 
     Parameters
     ----------
-    scene : scene.Scene
-        With gravity alone, and joints that ``peer_cases.Element`` knows.
+    machine : peer_cases.Machine
 
     Attributes
     ----------
@@ -172,29 +170,31 @@ class System:
 
     Raises
     ------
-    ValueError
-        Where the mechanism has parts that are not known here.
+    CannotExpress, NotAdapted
+        Where the machine has parts that are not known here.
 
     """
 
-    def __init__(self, scene):
-        mechanism, self._links, self.angles = scene.mechanism, [], []
-        if mechanism.couplings:
-            raise ValueError(f'{scene.name}: no couplings here')
+    def __init__(self, machine):
+        mechanism, self._links, self.angles = in_space(machine.mechanism), [], []
+        machine.require_gravity_alone()
+        if mechanism.couplings or not mechanism.cut_joints:
+            raise NotAdapted('couplings of joints, or no loops')
         names = mechanism.coordinates
         symbols = [ca.SX.sym(*one) for one in (
             ('q', names.nq), ('qd', names.nv), ('tau', names.nv), ('c', names.nv),
             ('s', names.nv))]
         q, qd, tau, self._cosines, self._sines = symbols
-        rest = -ca.SX(in_three(gravity(scene)))
-        last, first = [None], 0
-        for element in elements(mechanism):
-            last.append(self._linked(element, last[element.parent], q, first))
-            first += 4 if element.type == 'spherical' else len(element.axes)
+        rest = -ca.SX(machine.gravity)
+        last, bodies = {GROUND: None}, {body.name: body for body in mechanism.bodies}
+        for joint in mechanism.joints:
+            last[joint.child] = self._linked(joint, bodies[joint.child], last[joint.parent], q,
+                                             names.coordinates[joint.name].start)
         for link in self._links:
             link.move(qd, thin(rest))
-        rows, biases = (ca.vertcat(*parts) for parts in zip(*self._closed(mechanism, last, rest)))
-        state, turns = random_states(scene, 1)[0], np.zeros((2, names.nv))
+        rows, biases = (ca.vertcat(*parts) for parts in zip(*self._closed(
+            mechanism, machine.mechanism.planar, last, rest)))
+        state, turns = random_states(machine.scene, 1)[0], np.zeros((2, names.nv))
         angles = state[0][self.angles]
         turns[:, :len(angles)] = np.cos(angles), np.sin(angles)
         jacobian = np.array(ca.Function('rows', symbols, [rows])(*state, *turns))
@@ -204,50 +204,50 @@ class System:
         self.function = ca.Function('accelerate', symbols, ca.cse([
             self._accelerated(tau, rows[kept, :], biases[kept])]))
 
-    def _linked(self, element, parent, q, first):
+    def _linked(self, joint, body, parent, q, first):
         """Return the last link of a joint, made of as many as it has axes."""
-        turn = of_quaternion(element.orientation)
+        turn = of_quaternion(joint.orientation)
         turn = thin(np.where(np.abs(turn - np.round(turn)) < 1e-14, np.round(turn), turn))
-        position, nothing = thin(np.array(element.position)), ca.SX(3, 3)
-        center = np.array(element.center_of_mass)
-        inertia = np.diag(element.inertia) + element.mass * (
+        position, nothing = thin(np.array(joint.position)), ca.SX(3, 3)
+        center = np.array(body.center_of_mass)
+        inertia = inertia_matrix(body.inertia) + body.mass * (
             center @ center * np.eye(3) - np.outer(center, center))
-        count = len(element.axes) or 1
-        for number in range(count):
+        if joint.type not in (REVOLUTE, PRISMATIC, UNIVERSAL, SPHERICAL):
+            raise NotAdapted(f'{joint.name}: a joint {joint.type}')
+        axes = [np.eye(3)] if joint.type == SPHERICAL else [
+            np.array([axis]).T for axis in (joint.axis, joint.second_axis) if axis]
+        for number, axis in enumerate(axes):
             begin = sum(len(link.rates) for link in self._links)
-            if element.type == 'spherical':
-                axes, own = ca.SX.eye(3), _turned_by(q[first:first + 4])
+            about, along = thin(axis), ca.SX(*axis.shape)
+            if joint.type == SPHERICAL:
+                own = _turned_by(q[first:first + 4])
+            elif joint.type == PRISMATIC:
+                about, along, own = along, about, ca.SX.eye(3)
+                position = thin(position + times(turn, along) * q[first])
             else:
-                letter = 'xyz'.index(element.axes[number])
-                axes = thin(np.eye(3)[:, letter])
-            about, along = axes, ca.SX(*axes.shape)
-            if element.type == 'prismatic':
-                about, along, own = along, axes, ca.SX.eye(3)
-                position = thin(position + times(turn, axes) * q[first])
-            elif element.type != 'spherical':
-                own = _turned_about(letter, self._cosines[len(self.angles)],
-                                    self._sines[len(self.angles)])
+                # About the axis, by cosine and sine.
+                fixed, count = axis @ axis.T, len(self.angles)
+                own = thin(fixed + self._cosines[count] * thin(np.eye(3) - fixed)
+                           + self._sines[count] * hat(thin(axis)))
                 self.angles.append(first + number)
             # Between the axes of a joint there is no mass.
-            here = 1.0 if number == count - 1 else 0.0
-            parent = Link(parent, list(range(begin, begin + axes.shape[1])), times(turn, own),
-                          position, about, along, ca.SX(here * element.mass),
-                          thin(here * element.mass * center), thin(here * inertia))
+            here = 1.0 if number == len(axes) - 1 else 0.0
+            parent = Link(parent, list(range(begin, begin + axis.shape[1])), times(turn, own),
+                          position, about, along, ca.SX(here * body.mass),
+                          thin(here * body.mass * center), thin(here * inertia))
             self._links.append(parent)
             turn, position = ca.SX.eye(3), nothing[:, 0]
         return parent
 
-    def _closed(self, mechanism, last, rest):
+    def _closed(self, mechanism, planar, last, rest):
         """Yield the rows of loops: of the Jacobian, and the acceleration at qdd = 0."""
-        numbers = {GROUND: 0, **{joint.child: number for number, joint
-                                 in enumerate(mechanism.joints, start=1)}}
         for cut in mechanism.cut_joints:
-            if cut.type not in ('revolute', 'spherical'):
-                raise ValueError(f'{cut.name}: no cut joint {cut.type} here')
-            a, b = (_motion(last[numbers[body]], thin(in_three(point)), rest, self._sines.numel())
+            if cut.type not in (REVOLUTE, SPHERICAL):
+                raise NotAdapted(f'{cut.name}: a cut joint {cut.type}')
+            a, b = (_motion(last[body], thin(np.array(point)), rest, self._sines.numel())
                     for body, point in ((cut.body_a, cut.point_a), (cut.body_b, cut.point_b)))
             yield from _between(np.eye(3), ca.SX(3, 3), a, b, 'moves', 'pulled')
-            if cut.type == 'revolute' and not mechanism.planar:
+            if cut.type == REVOLUTE and not planar:
                 axis = cut.axis_a
                 if cut.body_a == GROUND:
                     a, b, axis = b, a, cut.axis_b
@@ -274,15 +274,6 @@ class System:
                 link.add_to_parent()
         order = [*reversed(range(count)), *range(count, right.numel())]
         return ca.vertcat(*_solved(matrix[order, order], right[order]))[order[:count]]
-
-
-def _turned_about(letter, cosine, sine):
-    result = ca.SX(3, 3)
-    b, c = (letter + 1) % 3, (letter + 2) % 3
-    result[letter, letter] = 1.0
-    result[b, b] = result[c, c] = cosine
-    result[c, b], result[b, c] = sine, -sine
-    return result
 
 
 def _turned_by(quaternion):
@@ -338,9 +329,9 @@ def _solved(matrix, right):
     return solution
 
 
-def operations(scene):
+def operations(machine):
     """Return how many operations of each kind an evaluation takes, an fma as two."""
-    function = System(scene).function
+    function = System(machine).function
     counts = Counter(OPERATIONS.get(function.instruction_id(k))
                      for k in range(function.n_instructions()))
     del counts[None]
@@ -349,39 +340,31 @@ def operations(scene):
 
 class Engine:
     """
-    Generated code of one scene.
+    Generated code of one machine.
 
     Parameters
     ----------
-    scene : scene.Scene
-        With gravity alone.
+    machine : peer_cases.Machine
 
     Raises
     ------
-    NotAdapted
-        Without gcc.
+    CannotExpress, NotAdapted
+        Also without gcc.
 
     """
 
-    name, version = NAME, ca.__version__
-    softness = None
+    name, version, agreed, limit = NAME, ca.__version__, 1e-9, None
 
-    def __init__(self, scene):
-        """Generate and compile."""
-        system = System(scene)
-        generator = ca.CodeGenerator('accelerate')
+    def __init__(self, machine):
+        system, generator = System(machine), ca.CodeGenerator('accelerate')
         generator.add(system.function)
         width = -(-len(system.angles) // LANES) * LANES
         text = generator.dump() + LOOP.format(
             places=', '.join(map(str, system.angles)), lanes=width, angles=len(system.angles),
-            freedoms=scene.mechanism.coordinates.nv)
+            freedoms=machine.mechanism.coordinates.nv)
         self._built = {name: _compiled(text, options) for name, options in BUILDS.items()}
-        self.others = {name: lambda *state, name=name: self._call(name, state, 1)
-                       for name in list(BUILDS)[1:]}
-
-    def acceleration(self, q, qd, tau):
-        """Return joint accelerations, shape (nv,)."""
-        return self._call(next(iter(BUILDS)), (q, qd, tau), 1)
+        first, *others = (lambda *state, name=name: self._call(name, state, 1) for name in BUILDS)
+        self.acceleration, self.others = first, dict(zip(list(BUILDS)[1:], others))
 
     def timings(self, q, qd, tau):
         """Return {what: function of a number of evaluations}."""
@@ -395,8 +378,8 @@ class Engine:
                           ctypes.c_long(count), ctypes.c_double(0.0))
         return result
 
-    def runs(self, case, quick):
-        """Return no runs: it only evaluates."""
+    def lines(self, case, plan):
+        """Return no motions: it only evaluates."""
         return []
 
 
@@ -405,11 +388,6 @@ def _compiled(text, options):
     with tempfile.TemporaryDirectory() as directory:
         source, library = (Path(directory) / name for name in ('code.c', 'code.so'))
         source.write_text(text)
-        try:
-            subprocess.run(
-                [*shlex.split(os.environ.get('CC', 'gcc')), *options, '-march=native', '-shared',
-                 '-fPIC', str(source), '-o', str(library), '-lmvec', '-lm'],
-                check=True, capture_output=True, text=True)
-        except (OSError, subprocess.CalledProcessError) as error:
-            raise NotAdapted(getattr(error, 'stderr', '') or str(error)) from error
+        run_compiler('CC', 'gcc', [source, '-o', library, *options, '-march=native', '-shared',
+                                   '-fPIC', '-lmvec', '-lm'])
         return ctypes.CDLL(str(library)).evaluate_again

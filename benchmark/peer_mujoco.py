@@ -2,30 +2,41 @@
 # SPDX-License-Identifier: Apache-2.0
 
 """
-MuJoCo, for the comparison in peers.py.
+MuJoCo beside us.
 
-Built for control and learning with contact: loops are soft "connect" equalities, springs that pull
-the cut point together. The settings here are the ones that gave the smallest errors among
-those tried: impedance at its upper bound, critically damped springs as stiff as the step allows,
-Newton's method with the one iteration that a quadratic cost needs, everything else switched off,
-islands and warm starts, too, which cost more than they save here.
+Built for control and learning with contact: loops are soft equalities, springs that pull a loop
+together. The settings here are the ones that gave the smallest errors among those tried: impedance
+at its upper bound, critically damped springs as stiff as the step allows, Newton's method with the
+one iteration that a quadratic cost needs, everything else switched off, islands and warm starts,
+too, which cost more than they save here. A file in MJCF is read by MuJoCo itself, with its meshes;
+other machines are written for it.
 """
 
-from xml.sax.saxutils import quoteattr
+import copy
+from dataclasses import asdict, replace
+from xml.etree import ElementTree
 
 import mujoco
 import numpy as np
-from peer_cases import elements, gravity, point_pairs, Run
+from peer_cases import CannotExpress, Machine, NotAdapted, with_balls_at_loops
+
+from closedloop_dynamics.effects.registry import effect_type  # noqa: I100
+from closedloop_dynamics.formats.building import word
+from closedloop_dynamics.formats.mjcf_writing import mjcf
+from closedloop_dynamics.mechanism.mechanism import MechanismError
 
 NAME = 'MuJoCo'
 HARDEST = 0.9999
-# Natural frequency of the loops' springs times the step size, the best of those tried.
-FREQUENCIES = {'RK4': (0.1, 0.3), 'implicitfast': (0.1, 0.3)}
-STEPS = {'RK4': (5e-3, 2e-3, 1e-3, 5e-4, 2e-4, 1e-4, 5e-5),
-         'implicitfast': (2e-3, 1e-3, 2e-4, 1e-4, 2e-5)}
-QUICK_STEPS = (1e-3, 5e-4)
+# How soft loops are where accelerations are extrapolated to hard ones, over the hardest.
+SOFTER = 1.0, 1.4, 2.0, 2.8, 4.0
+INTEGRATORS = 'RK4', 'implicitfast'
+OFF = 'CONTACT', 'ACTUATION', 'REFSAFE', 'ISLAND', 'WARMSTART'
+# What a file may have beside gravity.
+OFF_UNDER_GRAVITY = 'LIMIT', 'FRICTIONLOSS', 'SPRING', 'DAMPER', 'EULERDAMP'
 # No spring for a time: rates are what they are, positions as well.
 SPRINGS_AT_REST = 1e3
+# Sections that only pictures, contacts and measuring need.
+ASIDE = ('asset', 'contact', 'sensor', 'visual', 'keyframe')
 
 # What goes wrong shows in the result; no file MUJOCO_LOG.TXT is wanted.
 mujoco.set_mju_user_warning(lambda message: None)
@@ -33,89 +44,124 @@ mujoco.set_mju_user_warning(lambda message: None)
 
 class Engine:
     """
-    One scene in MuJoCo.
+    One machine in MuJoCo.
 
     Parameters
     ----------
-    scene : scene.Scene
-        With gravity alone, joints and cut joints of the kinds that ``peer_cases`` knows.
+    machine : peer_cases.Machine or scene.Scene
 
     Attributes
     ----------
     order : ndarray of int, shape (nq,)
         Where in its coordinates ours are: its quaternions are w, x, y, z.
 
+    Raises
+    ------
+    CannotExpress, NotAdapted
+
     """
 
     name, version = NAME, mujoco.__version__
-    # Accelerations are off in proportion to this.
-    softness, others = 1.0 - HARDEST, {}
+    # Of the limit; accelerations are off in proportion to the softness.
+    agreed, limit_name = 1e-3, 'hard limit'
+    others = {}
 
-    def __init__(self, scene):
-        """Build the model."""
-        self._elements, self._pairs = elements(scene.mechanism), point_pairs(scene.mechanism)
-        self._gravity = (*gravity(scene), 0.0)[:3]
-        self.order = np.arange(scene.mechanism.coordinates.nq)
-        for first, _ in scene.mechanism.coordinates.balls:
-            self.order[first:first + 4] = first + np.array([1, 2, 3, 0])
-        self._model = self.build(1e-3, SPRINGS_AT_REST)
-        self._data = mujoco.MjData(self._model)
+    def __init__(self, machine):
+        if not isinstance(machine, Machine):
+            machine = Machine(machine.name, machine)
+        scene, path = machine.scene, machine.path
+        effects = {name: {'type': effect_type(effect), **asdict(effect)}
+                   for name, effect in scene.effects.items()}
+        left = {}
+        try:
+            written = mjcf(with_balls_at_loops(scene.mechanism), effects, left_out=left)
+        except MechanismError as error:
+            raise NotAdapted(error) from error
+        left = [name for name in left if effects[name]['type'] != 'gravity']
+        if left:
+            raise CannotExpress(f'effects ({", ".join(left)})')
+        if path is not None and path.suffix.lower() in ('.xml', '.mjcf'):
+            self._model = compiled(path)
+            self._model.dof_armature[:] = 0.0
+        else:
+            self._model = mujoco.MjModel.from_xml_string(written)
+        model = self._model
+        only_gravity = all(values['type'] == 'gravity' for values in effects.values())
+        for off in (*OFF, *(OFF_UNDER_GRAVITY if only_gravity else ())):
+            model.opt.disableflags |= getattr(mujoco.mjtDisableBit, f'mjDSBL_{off}')
+        model.opt.jacobian = mujoco.mjtJacobian.mjJAC_DENSE
+        model.opt.solver, model.opt.iterations = mujoco.mjtSolver.mjSOL_NEWTON, 1
+        model.opt.tolerance = 1e-14
+        self._match(scene.mechanism)
+        self._resting = self.build(1e-3, SPRINGS_AT_REST)
+        self._data = mujoco.MjData(model)
+
+    def _match(self, mechanism):
+        """Find our coordinates and rates among its own."""
+        model, numbers, order, rates = self._model, {}, [], []
+        for number in range(model.njnt):
+            name = mujoco.mj_id2name(model, mujoco.mjtObj.mjOBJ_JOINT, number)
+            if name is None:
+                body = int(model.jnt_bodyid[number])
+                name = (f'{mujoco.mj_id2name(model, mujoco.mjtObj.mjOBJ_BODY, body)}_joint_'
+                        f'{number - int(model.body_jntadr[body]) + 1}')
+            numbers[word(name)] = number
+        # Coordinates of what floats are counted from where it is drawn.
+        self._drawn = np.zeros(model.nq)
+        for joint in mechanism.joints:
+            parts = [joint.name] if joint.name in numbers else [
+                f'{joint.name}_{k}' for k in range(1, 7) if f'{joint.name}_{k}' in numbers]
+            for number in map(numbers.get, parts):
+                place, rate = int(model.jnt_qposadr[number]), int(model.jnt_dofadr[number])
+                # By type: free, ball, slide, hinge.
+                some, width = (((0, 1, 2, 4, 5, 6, 3), 6), ((1, 2, 3, 0), 3), ((0,), 1), ((0,), 1)
+                               )[model.jnt_type[number]]
+                order += [place + one for one in some]
+                rates += range(rate, rate + width)
+                if width == 6:
+                    self._drawn[place:place + 3] = model.qpos0[place:place + 3]
+                    if model.qpos0[place + 3] != 1.0:
+                        raise NotAdapted(f'{joint.name}: drawn turned')
+        self.order, self._rates = np.array(order), np.array(rates)
+        if sorted(rates) != list(range(model.nv)) or len(order) != mechanism.coordinates.nq:
+            raise NotAdapted('joints are written otherwise than ours')
 
     def build(self, step, frequency, integrator='Euler', hardness=HARDEST):
         """Return a model with a step size [s] and a natural frequency of its loops [rad/s]."""
-        model = mujoco.MjModel.from_xml_string(self._description(frequency, hardness))
+        model = copy.copy(self._model)
         model.opt.timestep = step
-        model.opt.integrator = getattr(
-            mujoco.mjtIntegrator, 'mjINT_' + integrator.upper())
-        # Given one anchor, MuJoCo finds the other at q = 0, where these loops are open.
-        for row, (_, point_a, _, point_b) in zip(model.eq_data, self._pairs):
-            row[:6] = *point_a, *point_b
+        model.opt.integrator = getattr(mujoco.mjtIntegrator, 'mjINT_' + integrator.upper())
+        model.eq_solref[:] = -frequency ** 2, -2.0 * frequency
+        model.eq_solimp[:] = hardness, hardness, 1e-3, 0.5, 2.0
         return model
-
-    def _description(self, frequency, hardness):
-        """Return the mechanism in MuJoCo's XML, with every digit."""
-        children = {}
-        for number, element in enumerate(self._elements, start=1):
-            children.setdefault(element.parent, []).append((number, element))
-
-        def branch(parent):
-            return ''.join(
-                f'<body name={quoteattr(element.body)} pos="{_numbers(*element.position)}" '
-                f'quat="{_numbers(element.orientation[3], *element.orientation[:3])}">'
-                f'{_inertial(element)}{_joints(element)}{branch(number)}</body>'
-                for number, element in children.get(parent, []))
-
-        names = ['world', *(element.body for element in self._elements)]
-        springs = (f'solref="{-frequency ** 2!r} {-2.0 * frequency!r}" '
-                   f'solimp="{hardness!r} {hardness!r} 0.001 0.5 2"')
-        loops = ''.join(
-            f'<connect body1={quoteattr(names[a])} body2={quoteattr(names[b])} '
-            f'anchor="{_numbers(*point)}" {springs}/>' for a, point, b, _ in self._pairs)
-        return (
-            '<mujoco><compiler angle="radian"/>'
-            f'<option gravity="{_numbers(*self._gravity)}" solver="Newton" iterations="1" '
-            'tolerance="1e-14" jacobian="dense"><flag contact="disable" refsafe="disable" '
-            'island="disable" warmstart="disable" '
-            'limit="disable" frictionloss="disable" actuation="disable" spring="disable" '
-            'damper="disable"/></option>'
-            f'<worldbody>{branch(0)}</worldbody><equality>{loops}</equality></mujoco>')
 
     def _start(self, model, data, q, qd, tau):
         mujoco.mj_resetData(model, data)
-        data.qpos[self.order], data.qvel[:], data.qfrc_applied[:] = q, qd, tau
+        data.qpos[self.order] = q
+        data.qpos += self._drawn
+        data.qvel[self._rates], data.qfrc_applied[self._rates] = qd, tau[:model.nv]
 
-    def acceleration(self, q, qd, tau, softness=None):
+    def _ours(self, data):
+        """Return our coordinates."""
+        return (data.qpos - self._drawn)[self.order]
+
+    def acceleration(self, q, qd, tau, softness=1.0):
         """Return joint accelerations, shape (nv,)."""
-        model = self._model if softness is None else self.build(
-            1e-3, SPRINGS_AT_REST, hardness=1.0 - softness)
-        self._start(model, self._data, q, qd, tau)
-        mujoco.mj_forward(model, self._data)
-        return self._data.qacc.copy()
+        hardness = 1.0 - softness * (1.0 - HARDEST)
+        self._resting.eq_solimp[:, :2] = hardness
+        self._start(self._resting, self._data, q, qd, tau)
+        mujoco.mj_forward(self._resting, self._data)
+        return self._data.qacc[self._rates]
+
+    def limit(self, q, qd, tau):
+        """Return the accelerations where loops are hard: a polynomial through softer ones."""
+        found = [self.acceleration(q, qd, tau, softness) for softness in SOFTER]
+        return np.polynomial.polynomial.polyfit(SOFTER, found, len(SOFTER) - 1)[0]
 
     def timings(self, q, qd, tau):
         """Return {what: function of a number of evaluations or steps}."""
-        model, data = self.build(1e-3, 100.0), mujoco.MjData(self._model)
-        fourth_order = self.build(1e-3, 100.0, 'RK4')
+        model, fourth_order = (self.build(1e-3, 100.0, name) for name in ('Euler', 'RK4'))
+        data, other = mujoco.MjData(model), mujoco.MjData(model)
 
         def forward(count):
             for _ in range(count):
@@ -125,15 +171,15 @@ class Engine:
             def steps(count):
                 # Not further from the state than a thousandth of a second.
                 model.opt.timestep = 1e-3 / count
-                self._start(model, data, q, qd, tau)
-                mujoco.mj_step(model, data, count)
+                self._start(model, other, q, qd, tau)
+                mujoco.mj_step(model, other, count)
             return steps
 
         def single_steps(count):
             model.opt.timestep = 1e-3 / count
-            self._start(model, data, q, qd, tau)
+            self._start(model, other, q, qd, tau)
             for _ in range(count):
-                mujoco.mj_step(model, data)
+                mujoco.mj_step(model, other)
 
         self._start(model, data, q, qd, tau)
         return {'mj_forward, from Python': forward, 'mj_step (Euler), C loop': several(model),
@@ -142,8 +188,8 @@ class Engine:
 
     def derivative_timings(self, q, qd, tau):
         """Return {what: function of a number of differentiated steps}."""
-        model, data = self.build(1e-3, 100.0), mujoco.MjData(self._model)
-        by_state = np.zeros((2 * model.nv, 2 * model.nv))
+        model = self.build(1e-3, 100.0)
+        data, by_state = mujoco.MjData(model), np.zeros((2 * model.nv, 2 * model.nv))
 
         def derivatives(count):
             for _ in range(count):
@@ -152,45 +198,48 @@ class Engine:
         self._start(model, data, q, qd, tau)
         return {'mjd_transitionFD by the state, one-sided, from Python': derivatives}
 
-    def runs(self, case, quick):
-        """Return the runs of a case."""
-        runs = []
-        for integrator, frequencies in FREQUENCIES.items():
-            for step in QUICK_STEPS if quick else STEPS[integrator]:
-                for frequency in frequencies[:1] if quick else frequencies:
-                    runs.append(Run(
-                        NAME, integrator, f'step {step:g} s, springs {frequency:g} / step',
-                        self._motion(case, step, frequency / step, integrator)))
-        return runs
+    def lines(self, case, plan):
+        """Return the ways to compute a case."""
+        lines = []
+        for integrator in INTEGRATORS:
+            for springs in plan.springs:
+                line = case.stepped(
+                    NAME, integrator, plan.steps,
+                    lambda *steps, integrator=integrator, springs=springs: self._motion(
+                        case, *steps, springs, integrator))
+                lines.append(replace(line, settings=[
+                    f'{step}, springs {springs:g} / step' for step in line.settings]))
+        return lines
 
-    def _motion(self, case, step, frequency, integrator):
-        model = self.build(step, frequency, integrator)
+    def _motion(self, case, count, step, springs, integrator):
+        model = self.build(step, springs / step, integrator)
         data = mujoco.MjData(model)
+        held = np.zeros((len(case.torques), model.nv))
+        held[:, self._rates] = case.torques[:, :model.nv]
 
         def execute():
-            self._start(model, data, case.q, case.qd, case.tau)
-            mujoco.mj_step(model, data, round(case.duration / step))
+            self._start(model, data, case.q, case.qd, case.torques[0])
+            for torque in held:
+                data.qfrc_applied[:] = torque
+                mujoco.mj_step(model, data, count)
             # On bad values MuJoCo restarts by itself.
             if data.warning[mujoco.mjtWarning.mjWARN_BADQACC].number:
                 return np.full(len(case.q), np.nan)
-            return data.qpos[self.order]
+            return self._ours(data)
         return execute
 
 
-def _inertial(element):
-    return (f'<inertial mass="{element.mass!r}" pos="{_numbers(*element.center_of_mass)}" '
-            f'diaginertia="{_numbers(*element.inertia)}"/>')
-
-
-def _joints(element):
-    """Return one joint, or the two hinges of a universal joint."""
-    if element.type == 'spherical':
-        return f'<joint name={quoteattr(element.name)} type="ball"/>'
-    kind = 'slide' if element.type == 'prismatic' else 'hinge'
-    return ''.join(
-        f'<joint name={quoteattr(f"{element.name}.{axis}")} type="{kind}" '
-        f'axis="{_numbers(*(axis == letter for letter in "xyz"))}"/>' for axis in element.axes)
-
-
-def _numbers(*values):
-    return ' '.join(repr(float(value)) for value in values)
+def compiled(path):
+    """Return a file compiled, without what is for pictures and contacts where meshes miss."""
+    try:
+        return mujoco.MjModel.from_xml_path(str(path))
+    except ValueError:
+        root = ElementTree.parse(path).getroot()
+    for tag in ASIDE:
+        for element in root.findall(tag):
+            root.remove(element)
+    for parent in list(root.iter()):
+        if parent.tag in ('worldbody', 'default') or parent.find('inertial') is not None:
+            for element in parent.findall('geom'):
+                parent.remove(element)
+    return mujoco.MjModel.from_xml_string(ElementTree.tostring(root, encoding='unicode'))

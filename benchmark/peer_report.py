@@ -1,21 +1,17 @@
 # SPDX-FileCopyrightText: 2026 The closedloop_dynamics authors
 # SPDX-License-Identifier: Apache-2.0
 
-"""What peers.py measured: tables, CSV files, a picture."""
+"""Tables, CSV files and pictures of other simulators beside us."""
 
+import datetime
 import math
-import sys
 
-from machine import ROOT
 from matplotlib.figure import Figure
 from matplotlib.patches import Patch
 from matplotlib.ticker import FuncFormatter, LogLocator, NullFormatter
 from peer_cases import SHIPPED
 
-sys.path.insert(0, str(ROOT))
-
-from closedloop_dynamics.visual.tables import (  # noqa: E402,I100
-    markdown_table, seconds, text_table, write_csv)
+from closedloop_dynamics.visual.tables import markdown_table, seconds, write_csv  # noqa: I100
 
 OURS = 'closedloop_dynamics'
 # What marks lines that no simulator offers: loops written for this comparison.
@@ -25,10 +21,12 @@ TARGETS = (1e-3, 1e-6, 1e-8)
 QUIET = 0.7
 # Okabe and Ito's palette, one colour an engine; markers and dashes tell its lines apart.
 COLORS = {OURS: '#0072B2', 'Pinocchio': '#D55E00', 'MuJoCo': '#009E73', 'Exudyn': '#CC79A7'}
-STYLES = (('o', '-'), ('s', '--'), ('D', ':'), ('^', '-.'))
+STYLES = (('o', '-'), ('s', '--'), ('D', ':'), ('^', '-.'), ('v', '-'), ('x', '--'), ('+', ':'))
 # What the files of a group are called, and how their names end.
 FILES = {'plane': 'peers', 'space': 'peers_space', 'generated': 'peers_generated'}
 ENDS = ('_evaluation.csv', '_motions.csv', '.png')
+EVALUATIONS = ('tree', 'engine', 'what', 'best', 'median')
+MOTIONS = ('case', 'tree', 'engine', 'line', 'setting', 'error', 'closure', 'best', 'median')
 BAND = '#e5e5e5'
 DOTS_PER_INCH = 120
 
@@ -39,27 +37,46 @@ def file_names(result, group):
 
 
 def write_files(result, directory, group):
-    """Write what was measured of a group as CSV files and as a picture; return their paths."""
+    """Write what was measured of a group as CSV files and as a picture."""
     evaluations, *others = (directory / name for name in file_names(result, group))
-    keys = ('tree', 'engine', 'what', 'best', 'median')
-    write_csv(evaluations, ('scene', *keys), [
-        (scene, *(row[key] for key in keys))
+    write_csv(evaluations, ('scene', *EVALUATIONS), [
+        (scene, *(row[key] for key in EVALUATIONS))
         for scene, rows in result['evaluation'].items() for row in rows])
     if others:
-        runs, drawn = others
-        keys = ('case', 'tree', 'engine', 'line', 'setting', 'error', 'closure', 'best', 'median')
-        write_csv(runs, keys, [tuple(row[key] for key in keys) for row in result['motions']])
-        picture(result).savefig(drawn)
-    return [evaluations, *others]
+        known = {case['name']: case['uncertainty'] for case in result['cases']}
+        write_csv(others[0], (*MOTIONS, 'uncertainty'), [
+            (*(row[key] for key in MOTIONS), known[row['case']]) for row in result['motions']])
+        picture(result).savefig(others[1])
 
 
-def busy(result):
-    """Return how busy the machine was."""
-    before, after = result['load']
-    told = f'Load average before and after: {before:.1f} and {after:.1f}.'
-    if before > QUIET:
-        told += ' Other programs kept the machine busy: ratios say more than times.'
-    return told
+def measured(result):
+    """Return when and where something was measured."""
+    date = result.get('date') or datetime.date.today().isoformat()
+    return f'Measured on {date}: {result["machine"]}.' + (
+        ' Quick version: rough numbers.' if result['quick'] else '')
+
+
+def passages(results):
+    """Return {name of a passage: its text} on the groups of peers.py that were measured."""
+    texts = {}
+    for group, result in results.items():
+        name = 'peers' if group == 'plane' else f'peers {group}'
+        before, after = result['load']
+        texts.update({
+            f'{name} machine': f'{measured(result)}\nLoad average before and '
+            f'after: {before:.1f} and {after:.1f}.' + (
+                ' Other programs kept the machine busy: ratios say more than times.'
+                if before > QUIET else ''),
+            f'{name} agreement': agreement_table(result),
+            f'{name} evaluation': evaluation_table(result)})
+        if result['cases']:
+            uncertain = max(case['uncertainty'] for case in result['cases'])
+            texts[f'{name} motions'] = motion_table(result)
+            texts[f'{name} reference'] = ('The two methods behind the reference differ by '
+                                          f'{uncertain:.0e} rad or m at most.')
+        texts.update((f'{name} {key.replace("_", " ")}', rollout_table(result[key]))
+                     for key in ('rollouts', 'short_rollouts') if result[key])
+    return texts
 
 
 def _by_line(by_scene, keys, choose):
@@ -69,20 +86,20 @@ def _by_line(by_scene, keys, choose):
         for row in rows:
             found = lines.setdefault(tuple(row[key] for key in keys), {})
             found[scene] = choose(found.get(scene, row), row)
-    return {line: [found[scene] for scene in by_scene] for line, found in lines.items()}
+    return {line: [found.get(scene) for scene in by_scene] for line, found in lines.items()}
 
 
-def agreement_table(result, make=markdown_table):
+def agreement_table(result):
     """Return how far accelerations differ from ours; of several trees the largest difference."""
     lines = _by_line(result['agreement'], ('engine', 'version'),
                      lambda *rows: max(rows, key=lambda row: row['error']))
     rows = [(' '.join(line), *(f'{part["error"]:.0e}' + (
-        f' (hard limit: {part["extrapolated"]:.0e})' if 'extrapolated' in part else '')
+        f' ({part["limit_name"]}: {part["limit"]:.0e})' if 'limit' in part else '')
         for part in parts)) for line, parts in lines.items()]
-    return make(('simulator', *result['agreement']), rows)
+    return markdown_table(('simulator', *result['agreement']), rows)
 
 
-def evaluation_table(result, make=markdown_table):
+def evaluation_table(result):
     """
     Return the times of an evaluation or step, and in brackets how many times ours.
 
@@ -97,83 +114,53 @@ def evaluation_table(result, make=markdown_table):
         f'{seconds(part["best"])} ({part["best"] / time:.{digits}f}'
         f'{"" if part["tree"] == SHIPPED else ", " + part["tree"]})'
         for part, time in zip(parts, ours))) for line, parts in lines.items()]
-    return make(('simulator', 'what', *result['evaluation']), rows)
+    return markdown_table(('simulator', 'what', *result['evaluation']), rows)
 
 
-def cheapest(rows, target):
+def cheapest(rows, target, cost='best'):
     """Return the cheapest row within a target, None where there is none."""
-    reached = [row for row in rows if row['error'] <= target]
-    return min(reached, key=lambda row: row['best']) if reached else None
+    return min((row for row in rows if row['error'] <= target), key=lambda row: row[cost],
+               default=None)
 
 
-def motion_table(result, make=markdown_table):
+def motion_table(result):
     """Return, for each case and error, what each simulator's best way costs."""
     engines = list(dict.fromkeys(row['engine'] for row in result['motions']))
     rows = []
     for case in result['cases']:
         chosen = [row for row in result['motions'] if row['case'] == case['name']]
+        others = [row for row in chosen if row['engine'] != OURS]
+        plain = [row for row in others if OWN_LOOP not in row['line']]
         for target in TARGETS:
             if target < 10.0 * case['uncertainty']:
                 continue
             best = {engine: cheapest([row for row in chosen if row['engine'] == engine], target)
                     for engine in engines}
-            others = [row for row in chosen if row['engine'] != OURS]
-            plain = [row for row in others if OWN_LOOP not in row['line']]
             rows.append((case['name'], f'{target:.0e}',
-                         _ratio(cheapest(others, target), best.get(OURS)),
-                         _ratio(cheapest(plain, target), best.get(OURS)),
-                         *(seconds(best[engine]['best']) if best[engine] else 'not reached'
-                           for engine in engines)))
-    return make(('motion', 'error within', 'best of the others, times ours',
-                 'without our loops in C++', *engines), rows)
-
-
-def rollout_table(rows, make=markdown_table):
-    """Return how many steps per second rollouts make, and how exact they are."""
-    fastest = max((speed for row in rows if OURS not in row['what']
-                   for speed in row['speeds'].values()), default=math.nan)
-    return make(('rollouts of', 'steps per second', "times the fastest of MuJoCo's",
-                 'error at the end, median [rad, m]'), [
-        (row['what'], f'{row["speeds"]["1"]:,.0f}', f'{row["speeds"]["1"] / fastest:.1f}',
-         f'{row["error"]:.1e}') for row in rows])
+                         *(_ratio(cheapest(some, target), best.get(OURS))
+                           for some in (others, plain)),
+                         *(seconds(one['best']) if one else 'not reached'
+                           for one in best.values())))
+    return markdown_table(('motion', 'error within', 'best of the others, times ours',
+                           'without our loops in C++', *engines), rows)
 
 
 def _ratio(other, ours):
     return f'{other["best"] / ours["best"]:.1f}' if other and ours else '-'
 
 
-def text(result):
-    """Return everything for a terminal."""
-    uncertain = '; '.join(f'{case["name"]} {case["uncertainty"]:.0e}'
-                          for case in result['cases'])
-    return '\n\n'.join((
-        f'{result["machine"]}\n{busy(result)}',
-        'Largest relative difference of accelerations at random states:\n'
-        + agreement_table(result, text_table),
-        'CPU time of one evaluation or step:\n' + evaluation_table(result, text_table),
-        *(('CPU time per simulated second for an error at the end:\n'
-           + motion_table(result, text_table),
-           f'Two methods differ in the reference by: {uncertain}.') if result['cases'] else ()),
-        *(f'Steps per second of {what} at once, one thread:\n'
-          + rollout_table(result[key], text_table) for key, what in (
-              ('rollouts', 'many simulations'), ('short_rollouts', '8 simulations of 10 steps'))
-          if result[key])))
+def rollout_table(rows):
+    """Return how many steps per second rollouts make, and how exact they are."""
+    fastest = max((speed for row in rows if OURS not in row['what']
+                   for speed in row['speeds'].values()), default=math.nan)
+    return markdown_table(('rollouts of', 'steps per second', "times the fastest of MuJoCo's",
+                           'error at the end, median [rad, m]'), [
+        (row['what'], f'{row["speeds"]["1"]:,.0f}', f'{row["speeds"]["1"] / fastest:.1f}',
+         f'{row["error"]:.1e}') for row in rows])
 
 
 def picture(result):
-    """
-    Draw error against cost, one panel a case.
-
-    Parameters
-    ----------
-    result : dict
-        Of ``peers.measure``.
-
-    Returns
-    -------
-    matplotlib.figure.Figure
-
-    """
+    """Draw error against cost of what peers.py measured, one panel a case."""
     cases = result['cases']
     columns = min(3, len(cases))
     lines = -(-len(cases) // columns)
