@@ -7,7 +7,7 @@ from statistics import median
 
 from all_machines import OURS, RATES, read, TARGETS
 from matplotlib.figure import Figure
-from peer_report import cheapest
+from peer_report import cheapest, styled
 from sentences import paragraph, spread
 
 from closedloop_dynamics.visual.appearance import COLORS, DOTS_PER_INCH  # noqa: I100
@@ -183,7 +183,7 @@ def picture(path):
     lines = [('default', results.ours, target) for target in TARGETS] + [
         ('best of the others', results.other, target) for target in TARGETS[:2]]
     for axes, rate in zip(panels, RATES):
-        axes.set_title(MOTIONS[rate], fontsize=10)
+        styled(axes, MOTIONS[rate])
         for label, chosen, target in lines:
             places = [(one[COST], number) for number, one in enumerate(
                 chosen(machine, rate, target) for machine in names) if one]
@@ -193,11 +193,7 @@ def picture(path):
                       color=color if filled else '#333333', markersize=5,
                       label=f'{label}, {target:.0e}',
                       markerfacecolor=color if filled else 'none')
-        axes.set_xscale('log')
         axes.set_xlabel('CPU time for one simulated second [s]')
-        axes.grid(color='#dddddd', linewidth=0.7)
-        axes.set_axisbelow(True)
-        axes.tick_params(labelsize=8)
         robots = [number for number, machine in enumerate(names)
                   if results.machines[machine] == 'robot']
         if robots:

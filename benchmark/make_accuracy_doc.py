@@ -12,7 +12,6 @@ the other simulators. To be run on a machine that does nothing else.
 """
 
 import argparse
-import csv
 from dataclasses import dataclass, field
 from pathlib import Path
 import re
@@ -100,16 +99,15 @@ def lines(case):
 def settings_of_study(path):
     """Return {integrator: settings, from coarse to fine} of a study's CSV file."""
     found = {}
-    with open(path, newline='', encoding='utf-8') as file:
-        for row in csv.DictReader(file):
-            integrator = row['integrator']
-            usual = row['stabilisation'] == Line(integrator).stabilisation and (
-                row.get('formulation', 'subsystem') == 'subsystem')
-            if usual and not row['failure']:
-                found.setdefault(integrator, []).append(Setting(
-                    integrator, *(float(row[name] or 'nan') for name in (
-                        'step_size', 'tolerance', 'position_error', 'evaluations_per_second',
-                        'cpu_time_per_second'))))
+    for row in sentences.read(path):
+        integrator = row['integrator']
+        usual = row['stabilisation'] == Line(integrator).stabilisation and (
+            row.get('formulation', 'subsystem') == 'subsystem')
+        if usual and not row['failure']:
+            found.setdefault(integrator, []).append(Setting(
+                integrator, *(float(row[name] or 'nan') for name in (
+                    'step_size', 'tolerance', 'position_error', 'evaluations_per_second',
+                    'cpu_time_per_second'))))
     return found
 
 

@@ -367,4 +367,4 @@ class Case:
     def largest_error(self, **method):
         """Return the largest error of a method at all outputs, and the simulation at the end."""
         positions, simulation = self.run(**method)
-        return max(map(self._apart, positions, self.positions)), simulation
+        return float(np.max([*map(self._apart, positions, self.positions)])), simulation

@@ -62,8 +62,8 @@ class Engine:
     """
 
     name, version = NAME, mujoco.__version__
-    # Of the limit; accelerations are off in proportion to the softness.
-    agreed, limit_name = 1e-3, 'hard limit'
+    # Accelerations are off in proportion to the softness, by any factor.
+    agreed, limit_agreed, limit_name = np.inf, 1e-3, 'hard limit'
     others = {}
 
     def __init__(self, machine):
@@ -167,24 +167,19 @@ class Engine:
             for _ in range(count):
                 mujoco.mj_forward(model, data)
 
-        def several(model):
+        def stepping(model, at_once=True):
             def steps(count):
                 # Not further from the state than a thousandth of a second.
                 model.opt.timestep = 1e-3 / count
                 self._start(model, other, q, qd, tau)
-                mujoco.mj_step(model, other, count)
+                for _ in range(1 if at_once else count):
+                    mujoco.mj_step(model, other, count if at_once else 1)
             return steps
 
-        def single_steps(count):
-            model.opt.timestep = 1e-3 / count
-            self._start(model, other, q, qd, tau)
-            for _ in range(count):
-                mujoco.mj_step(model, other)
-
         self._start(model, data, q, qd, tau)
-        return {'mj_forward, from Python': forward, 'mj_step (Euler), C loop': several(model),
-                'mj_step (Euler), from Python': single_steps,
-                'mj_step (RK4), C loop': several(fourth_order)}
+        return {'mj_forward, from Python': forward, 'mj_step (Euler), C loop': stepping(model),
+                'mj_step (Euler), from Python': stepping(model, at_once=False),
+                'mj_step (RK4), C loop': stepping(fourth_order)}
 
     def derivative_timings(self, q, qd, tau):
         """Return {what: function of a number of differentiated steps}."""

@@ -67,7 +67,7 @@ class Engine:
     """
 
     name, version = NAME, pin.__version__
-    agreed, limit_name = 1e-5, 'converged'
+    agreed, limit_agreed, limit_name = 1e-5, 1e-5, 'converged'
 
     def __init__(self, machine):
         self.mechanism = mechanism = machine.mechanism

@@ -182,9 +182,17 @@ def picture(result):
     return figure
 
 
-def _panel(axes, case, rows):
-    axes.set_title(case['name'], fontsize=10)
+def styled(axes, title):
+    """Give a panel of costs its title, its scale and its grid."""
+    axes.set_title(title, fontsize=10)
     axes.set_xscale('log')
+    axes.tick_params(labelsize=8)
+    axes.grid(color='#dddddd', linewidth=0.7)
+    axes.set_axisbelow(True)
+
+
+def _panel(axes, case, rows):
+    styled(axes, case['name'])
     axes.set_yscale('log')
     for engine in dict.fromkeys(row['engine'] for row in rows):
         own = [row for row in rows if row['engine'] == engine]
@@ -199,9 +207,6 @@ def _panel(axes, case, rows):
     axes.yaxis.set_major_locator(LogLocator(numticks=16))
     for axis in (axes.xaxis, axes.yaxis):
         axis.set_minor_formatter(NullFormatter())
-    axes.tick_params(labelsize=8)
-    axes.grid(which='major', color='#dddddd', linewidth=0.7)
-    axes.set_axisbelow(True)
 
 
 def _front(rows):

@@ -8,8 +8,8 @@ A simulator is a module ``peer_NAME`` with a class ``Engine`` of a machine, or a
 
 * ``name``, ``version``
 * ``acceleration(q, qd, tau)``, and ``others``: {algorithm: the same by it}
-* ``agreed``: what accelerations may differ by from ours, relative; where they are not exact those
-  that they tend to count, ``limit(q, qd, tau)``, which is called ``limit_name``
+* ``agreed``: what accelerations may differ by from ours, relative; where they are not exact also
+  what they tend to, ``limit(q, qd, tau)``, called ``limit_name``, and its ``limit_agreed``
 * ``timings(q, qd, tau)`` and ``derivative_timings``: {what: function of a number of evaluations}
 * ``lines(case, plan)``: ways to compute a motion, ``peer_cases.Line``
 """
@@ -78,7 +78,7 @@ def engines(machine, chosen):
         try:
             found.append(importlib.import_module(name).Engine(machine))
         except ImportError as error:
-            why[name] = f'not installed: {error}'
+            why[name] = f'not installed: {error}; pip install -e .[bench] installs all'
         except (CannotExpress, NotAdapted) as error:
             why[name] = f'{error.text}: {error}'
     return found, why
@@ -116,20 +116,23 @@ def agreement(machine, built, states):
         truth.append(system.qdd.copy())
 
     def error(function):
-        return max(float(np.abs(function(*state) - true).max() / np.abs(true).max())
-                   for state, true in zip(states, truth))
+        # What is not a number stays so.
+        return float(np.max([np.abs(function(*state) - true).max() / np.abs(true).max()
+                             for state, true in zip(states, truth)]))
 
     for engine in built:
         row = {'engine': engine.name, 'version': engine.version,
                'error': error(engine.acceleration)}
+        errors = [(row['error'], engine.agreed)]
         if engine.limit is not None:
             row.update(limit=error(engine.limit), limit_name=engine.limit_name)
-        apart = row.get('limit', row['error'])
-        # Not a number is a disagreement, too.
-        if not apart <= engine.agreed:
-            raise Disagreement(
-                f'{machine.name} in {engine.name}: accelerations differ from ours by {apart:.2g}, '
-                f'relative; at most {engine.agreed:g} was expected')
+            errors.append((row['limit'], engine.limit_agreed))
+        for apart, most in errors:
+            # Not a number is a disagreement, too.
+            if not apart <= most:
+                raise Disagreement(
+                    f'{machine.name} in {engine.name}: accelerations differ from ours by '
+                    f'{apart:.2g}, relative; at most {most:g} was expected')
         rows += [row, *({'engine': f'{engine.name}, {name},', 'version': engine.version,
                          'error': error(function)} for name, function in engine.others.items())]
     return rows
@@ -242,7 +245,7 @@ def _first(line, case, number, longest):
         row['closure'] = case.closure(end)
     except SimulationError as error:
         # A setting so coarse that it is refused has no error to compare.
-        row['note'], cost = str(error), 0.0
+        row['note'], cost = str(error), math.nan
     row['costs'] = [cost]
     return row, run
 

@@ -103,7 +103,7 @@ def with_engines(name, chosen):
         built, why = peer_runner.engines(machine, [
             one for one in chosen if tree == SHIPPED or one != peer_runner.OURS])
         for engine, reason in why.items():
-            print(f'{engine} is left out: {reason}. pip install -e .[bench] installs all.')
+            print(f'{engine} is left out: {reason}')
         found[tree] = machine, built
     return found
 

@@ -517,14 +517,20 @@ def test_a_simulator_that_was_told_another_machine_is_refused(benchmark):
     class Other:
         name, version, agreed, limit, others = 'Other', '1', 1e-5, None, {}
 
-        def __init__(self, factor):
-            self.acceleration = lambda *state: factor * ours.acceleration(*state)
+        def __init__(self, *factors):
+            factors = iter(factors)
+            self.acceleration = lambda *state: next(factors) * ours.acceleration(*state)
 
-    assert runner.agreement(machine, [Other(1.0 + 1e-6)], states)[0]['error'] == pytest.approx(
-        1e-6, rel=1e-3)
-    for factor in (1.0 + 2e-5, math.nan):
+    row, = runner.agreement(machine, [Other(1.0, 1.0 + 1e-6)], states)
+    assert row['error'] == pytest.approx(1e-6, rel=1e-3)
+    for factors in ((1.0, 1.0 + 2e-5), (1.0, math.nan), (math.nan, 1.0)):
         with pytest.raises(cases.Disagreement, match='four_bar in Other: accelerations differ'):
-            runner.agreement(machine, [Other(factor)], states)
+            runner.agreement(machine, [Other(*factors)], states)
+    # Where what they tend to is wrong, as well.
+    soft = Other(1.0, 1.0)
+    soft.limit, soft.limit_agreed, soft.limit_name = Other(1.0, 1.1).acceleration, 1e-3, 'hard'
+    with pytest.raises(cases.Disagreement, match='by 0.1, relative; at most 0.001 was expected'):
+        runner.agreement(machine, [soft], states)
 
 
 def test_throughput_counts_steps(benchmark, capsys):
