@@ -11,16 +11,14 @@ misses more than a thousandth of what moved, and says nothing, is a silent one.
 from dataclasses import replace
 import warnings
 
-from closedloop_dynamics.effects.gravity import Gravity
 from closedloop_dynamics.integration import system
 from closedloop_dynamics.integration.registry import INTEGRATORS
 from closedloop_dynamics.simulation.errors import SimulationError
-from closedloop_dynamics.simulation.scene_records import Initial, Method, Scene
-from closedloop_dynamics.simulation.simulation import Simulation
 import numpy as np
 import pytest
 
 from ..reference.linkages import random_linkage
+from ..reference.scenes import simulated
 
 METHODS = list(INTEGRATORS)
 SILENT = 1e-3
@@ -43,11 +41,10 @@ def attack(rng, mechanism, q, qd, integrator):
     """Run one mechanism; return what became of it, and the share of energy that it lost."""
     held = rng.random() < 0.5
     scale = 10.0 ** rng.uniform(-3.0, 4.0)
-    scene = Scene('random', None, '', mechanism, Initial(tuple(q), tuple(qd)),
-                  {'gravity': Gravity((0.0, -9.81))},
-                  Method(integrator=integrator, tolerance=10.0 ** rng.uniform(-8.0, -4.0)))
+    tolerance = 10.0 ** rng.uniform(-8.0, -4.0)
     try:
-        simulation = Simulation(scene)
+        simulation = simulated(mechanism, q, qd, gravity=(0.0, -9.81), integrator=integrator,
+                               tolerance=tolerance)
         start = simulation.energy_balance
         actuated = [simulation.joint_names.index(name) for name in simulation.actuated_joints]
         tau = np.zeros(len(q))

@@ -12,15 +12,13 @@ silent one.
 from collections import Counter
 import warnings
 
-from closedloop_dynamics.effects.gravity import Gravity
 from closedloop_dynamics.integration import system
 from closedloop_dynamics.simulation.errors import SimulationError
-from closedloop_dynamics.simulation.scene_records import Initial, Method, Scene
-from closedloop_dynamics.simulation.simulation import Simulation
 import numpy as np
 import pytest
 
 from ..reference.redundant_loops import random_loops
+from ..reference.scenes import simulated
 
 
 SILENT, FARTHER, FINER = 1e-3, 10.0, 1e-3
@@ -29,9 +27,8 @@ CALLS, DURATION = 2, 0.25
 
 def run(loops, gravity, accuracy):
     """Return the simulation, its places after each call, and its share of lost energy."""
-    simulation = Simulation(Scene(
-        'loops', None, '', loops.mechanism, Initial(tuple(loops.q), tuple(loops.qd)),
-        {'gravity': Gravity(gravity)}, Method(accuracy=accuracy)))
+    simulation = simulated(
+        loops.mechanism, loops.q, loops.qd, gravity=gravity, accuracy=accuracy)
     start, places, moved = simulation.energy_balance, [], 0.0
     for _ in range(CALLS):
         simulation.step(None, DURATION)

@@ -13,18 +13,16 @@ from collections import Counter
 from pathlib import Path
 import warnings
 
-from closedloop_dynamics.effects.gravity import Gravity
 from closedloop_dynamics.integration import system
 from closedloop_dynamics.mechanism.mechanism import MechanismError
 from closedloop_dynamics.mechanism.reader import mechanism_of
 from closedloop_dynamics.simulation.errors import SimulationError
-from closedloop_dynamics.simulation.scene_records import Initial, Method, Scene
-from closedloop_dynamics.simulation.simulation import Simulation
 from closedloop_dynamics.simulation.tree_choice import cheapest
 import numpy as np
 import pytest
 
 from ..reference import repeated_joints as twin
+from ..reference.scenes import simulated
 
 DURATION = 0.2
 # Second differences of places over this time [s] have errors of 1e-8 m/s^2 by rounding, and by
@@ -93,10 +91,9 @@ def attack(rng):
         coordinates, still = mechanism.coordinates, rng.random() < STILL
         change, velocity = (
             size * (not still) * rng.uniform(-1.0, 1.0, coordinates.nv) for size in (AWAY, RATE))
-        scene = Scene('repeated', None, '', mechanism, Initial(
-            tuple(coordinates.moved(coordinates.start(), change)), tuple(velocity)),
-            {'gravity': Gravity(tuple(twin.GRAVITY[:2 if machine.planar else 3]))}, Method())
-        simulation = Simulation(scene)
+        simulation = simulated(
+            mechanism, coordinates.moved(coordinates.start(), change), velocity,
+            gravity=twin.GRAVITY[:2 if machine.planar else 3])
     except (MechanismError, SimulationError) as error:
         return _refused(machine, twin.home(machine), str(error))
     poses = frames(machine, simulation, simulation.position)

@@ -13,11 +13,11 @@ import warnings
 
 from closedloop_dynamics.effects.body_contact import BodyContact
 from closedloop_dynamics.simulation.errors import NumericalError, SimulationError
-from closedloop_dynamics.simulation.scene_records import Initial, Method, Scene
-from closedloop_dynamics.simulation.simulation import Simulation
+from closedloop_dynamics.simulation.scene_records import Method
 import numpy as np
 import pytest
 
+from ..reference.scenes import simulated
 from ..reference.shots import draw, IN_PLANE, KINDS, Shot
 
 # Of each method its setting, what of the way and the speed it may miss, and to what it is good.
@@ -47,10 +47,9 @@ def allowed(shot, end, share, uncertain):
 def flown(shot, method):
     """Return the simulation of a shot, at its end."""
     still = (0.0, 0.0, 0.0) if len(shot.mass) == 3 else ()
-    simulation = Simulation(Scene(
-        'shot', None, '', shot.mechanism,
-        Initial((*shot.place, *still, *((1.0,) if still else ())), (*shot.velocity, *still)),
-        {'solid': shot.effect}, method))
+    simulation = simulated(
+        shot.mechanism, (*shot.place, *still, *((1.0,) if still else ())),
+        (*shot.velocity, *still), {'solid': shot.effect}, method=method)
     simulation.step(duration=shot.duration)
     simulation.judge()
     return simulation

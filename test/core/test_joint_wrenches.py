@@ -16,11 +16,11 @@ from closedloop_dynamics.engine import native
 from closedloop_dynamics.mechanism.mechanism import (
     Body, CutJoint, GROUND, Joint, Mechanism, Point, REVOLUTE)
 from closedloop_dynamics.simulation.errors import SimulationError
-from closedloop_dynamics.simulation.scene_records import Initial, Method, Scene
 from closedloop_dynamics.simulation.simulation import Simulation
 import numpy as np
 import pytest
 
+from ..reference.scenes import simulated
 from .engine import Engine
 from ..reference import cases
 from ..reference.compare import assert_agree, IDENTITY
@@ -55,8 +55,7 @@ def loaded(seed):
         'spring': JointSpring(joint, STIFFNESS), 'rotor': Rotor(joint, INERTIA),
         'wind': ExternalForce(mechanism.points[0].name, tuple(FORCE)),
         'rope': PointSpring(mechanism.points[1].name, mechanism.points[2].name, None, *SPRING)}
-    simulation = Simulation(Scene('random', None, '', mechanism, Initial(tuple(q), tuple(qd)),
-                                  effects, Method()))
+    simulation = simulated(mechanism, q, qd, effects)
     simulation.step(rng.normal(size=len(simulation.actuated_joints)), 0.0)
     return simulation
 
@@ -167,9 +166,7 @@ def four_bar(cut):
         np.transpose([turned(b - a), -turned(b - d)]), -right)
     rate = {GROUND: 0.0, 'crank': 2.0, 'coupler': coupler, 'rocker': rocker}
     rates = tuple(rate[child] - rate[parent] for child, parent, _ in tree)
-    return Simulation(Scene(
-        'loop', None, '', mechanism, Initial((0.0,) * 3, rates),
-        {'gravity': Gravity((0.0, -9.81))}, Method())), {
+    return simulated(mechanism, None, rates, gravity=(0.0, -9.81)), {
             joint.name: joint.child for joint in joints} | {cut: first}
 
 

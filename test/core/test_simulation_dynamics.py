@@ -4,25 +4,20 @@
 """Dynamics as users call them, through ``Simulation``."""
 
 from dataclasses import replace
+from functools import partial
 
 from closedloop_dynamics import Simulation
-from closedloop_dynamics.effects.gravity import Gravity
 from closedloop_dynamics.simulation.errors import AssemblyError, SimulationError
-from closedloop_dynamics.simulation.scene_records import Initial, Method, Scene
 import numpy as np
 import pytest
 
 from .engine import Engine
 from ..mechanism.test_between import FOUR_BAR
-from ..reference import cases, dense
+from ..reference import cases, dense, scenes
 from ..reference.compare import assert_agree, IDENTITY, SOLVE
 
 
-def simulated(mechanism, q, qd):
-    """Return a Simulation of any mechanism from a closed state, in the earth's gravity."""
-    return Simulation(Scene(
-        'drawn', None, '', mechanism, Initial(tuple(q), tuple(qd)),
-        {'gravity': Gravity(dense.EARTH)}, Method()))
+simulated = partial(scenes.simulated, gravity=dense.EARTH)
 
 
 def torques(rng, mechanism):

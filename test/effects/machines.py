@@ -5,11 +5,11 @@
 
 import math
 
-from closedloop_dynamics import Simulation
 from closedloop_dynamics.mechanism.mechanism import (
     Body, CutJoint, Joint, Mechanism, Point)
-from closedloop_dynamics.simulation.scene_records import Initial, Method, Scene
 import numpy as np
+
+from ..reference import scenes
 
 
 def block(mass=1.0, angle=0.0):
@@ -92,10 +92,8 @@ def slider_crank():
 
 def simulated(mechanism, effects, position, velocity=None, **method):
     """Return a Simulation of a mechanism under effects from a state."""
-    velocity = [0.0] * len(position) if velocity is None else velocity
-    return Simulation(Scene(
-        'drawn', None, '', mechanism, Initial(tuple(position), tuple(velocity)), effects,
-        Method(**{'integrator': 'rk4', **method})))
+    return scenes.simulated(
+        mechanism, position, velocity, effects, **{'integrator': 'rk4', **method})
 
 
 def assert_balanced(simulation, tolerance):

@@ -5,7 +5,6 @@
 
 from dataclasses import replace
 
-from closedloop_dynamics import Simulation
 from closedloop_dynamics.effects.actuator import Actuator
 from closedloop_dynamics.effects.end_stop import EndStop
 from closedloop_dynamics.effects.force_table import ForceTable
@@ -20,13 +19,14 @@ from closedloop_dynamics.mechanism.fields import FieldError
 from closedloop_dynamics.mechanism.mechanism import (
     Body, CutJoint, Joint, Mechanism, MechanismError)
 from closedloop_dynamics.mechanism.reader import read_mechanism, validate_mechanism
-from closedloop_dynamics.simulation.scene_records import Initial, Method, Scene
+from closedloop_dynamics.simulation.scene_records import Method
 import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation
 import yaml
 
 from ..reference import cases
+from ..reference.scenes import simulated
 
 METHOD = Method(integrator='rk4', step_size=5e-4)
 # Three legs between a frame that turns and a plate. Where joints and bodies are as drawn:
@@ -90,14 +90,9 @@ EFFECTS = {
     'ball_damper': JointDamping('ball.ry', 0.03), 'ball_friction': JointFriction('ball.rz', 0.02)}
 
 
-def simulation(mechanism, effects, position=None):
+def simulation(mechanism, effects, position=None, turned=None):
     """Return a simulation that starts at rest as drawn."""
-    known = mechanism.coordinates
-    start = known.start()
-    for name, value in (position or {}).items():
-        start[known.place[known.index[name]]] = value
-    return Simulation(Scene('scene', None, '', mechanism, Initial(
-        tuple(start), (0.0,) * known.nv), effects, METHOD))
+    return simulated(mechanism, position, None, effects, turned=turned, method=METHOD)
 
 
 def readings(sim):
@@ -282,9 +277,7 @@ def test_turns_of_several_freedoms_are_counted_from_the_start(tmp_path):
     mechanism = machine(tmp_path, CUTS[0])
     assert mechanism.turning_cuts == ('hip.1', 'hip.2', 'table.angle')
     turned = {'hip.1': 7.0, 'table.angle': -6.0}
-    start = Initial(tuple(mechanism.coordinates.start()), (0.0,) * mechanism.coordinates.nv,
-                    turned=turned)
-    sim = Simulation(Scene('scene', None, '', mechanism, start, EFFECTS, METHOD))
+    sim = simulation(mechanism, EFFECTS, turned=turned)
     found = dict(zip(sim.cut_joint_names, sim.cut_position))
     assert found['hip.1'] == pytest.approx(2.0 * np.pi, abs=1e-9)
     assert found['hip.2'] == pytest.approx(0.0, abs=1e-9)

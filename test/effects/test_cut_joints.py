@@ -6,7 +6,6 @@
 from dataclasses import replace
 import math
 
-from closedloop_dynamics import Simulation
 from closedloop_dynamics.core.codegen.spatial import rotation
 from closedloop_dynamics.effects.actuator import Actuator
 from closedloop_dynamics.effects.end_stop import EndStop
@@ -28,10 +27,12 @@ from closedloop_dynamics.mechanism.fields import FieldError
 from closedloop_dynamics.mechanism.mechanism import (
     Body, CutJoint, Joint, Mechanism, MechanismError)
 from closedloop_dynamics.mechanism.reader import read_mechanism
-from closedloop_dynamics.simulation.scene_records import Initial, Method, Scene
+from closedloop_dynamics.simulation.scene_records import Method
 import numpy as np
 import pytest
 import yaml
+
+from ..reference.scenes import simulated
 
 METHOD = Method(integrator='rk4', step_size=2e-4)
 # Joints of the four-bar with both bodies, their places in these, and angles at zero; the slide of
@@ -89,11 +90,9 @@ def mechanism(tmp_path, pins, cut, actuated, spatial=False):
 
 def simulation(machine, effects, spin=0.0, start=START, turned=None):
     """Return a simulation that starts with the crank held."""
-    names = machine.coordinates.names
-    return Simulation(Scene('scene', None, '', machine, Initial(
-        tuple(start[name] for name in names),
-        tuple(spin * (name == 'crank_joint') for name in names), ('crank_joint',), turned or {}),
-        {**FURNITURE, **effects}, METHOD))
+    return simulated(
+        machine, {name: start[name] for name in machine.coordinates.names}, {'crank_joint': spin},
+        {**FURNITURE, **effects}, hold=('crank_joint',), turned=turned, method=METHOD)
 
 
 def motion(sim, torque=None, duration=0.5, instants=10):
@@ -360,10 +359,9 @@ def test_a_screw_that_is_cut_is_a_screw():
     screw = CutJoint('screw', 'helical', 'nut', 'ground', (0.0, 0.0, 0.0), (0.0, 0.0, 0.0),
                      axis_b=(0.0, 0.0, 1.0), lead=lead, actuated=True)
     machine = Mechanism('screw', (body,), (guide,), (screw,))
-    start = Initial((0.5, 0.5 * lead), (0.0, 0.0))
-    sim = Simulation(Scene('scene', None, '', machine, start, {
+    sim = simulated(machine, (0.5, 0.5 * lead), None, {
         'stop': EndStop('guide.1', 10.0, lower=-100.0),
-        'table': ForceTable((0.0, 1.0), (0.0, 0.0), 'screw')}, METHOD))
+        'table': ForceTable((0.0, 1.0), (0.0, 0.0), 'screw')}, method=METHOD)
     for _ in range(4):
         sim.step([torque], 0.25)
     rate = torque / (0.02 + 2.0 * lead ** 2)

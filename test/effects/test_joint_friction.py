@@ -19,7 +19,7 @@ from closedloop_dynamics.integration.registry import INTEGRATORS
 from closedloop_dynamics.mechanism.mechanism import Body, Joint, Mechanism, REVOLUTE
 from closedloop_dynamics.simulation.modeling import build_model
 from closedloop_dynamics.simulation.scene import load_scene
-from closedloop_dynamics.simulation.scene_records import Initial, Method, Scene
+from closedloop_dynamics.simulation.scene_records import Method
 import numpy as np
 import pytest
 from scipy.optimize import lsq_linear
@@ -286,8 +286,7 @@ def test_reactions_equal_those_of_maximal_coordinates(case):
     effects = {'gravity': Gravity((0.0, -9.81)), **{
         f'at_{joint.name}': JointFriction(joint.name, friction_coefficient=1e-12)
         for joint in mechanism.joints}}
-    simulation = Simulation(Scene('drawn', None, '', mechanism, Initial(tuple(q), tuple(qd)),
-                                  effects, Method()))
+    simulation = simulated(mechanism, effects, q, qd)
     expected = maximal.forward_dynamics(mechanism, q, qd, np.zeros(len(q))).reactions
     for joint in mechanism.joints:
         reaction = np.ravel(expected[joint.name])

@@ -4,11 +4,9 @@
 """What holds for every linkage, on random ones: symmetries of mechanics."""
 
 from dataclasses import replace
+from functools import partial
 
-from closedloop_dynamics.effects.gravity import Gravity
 from closedloop_dynamics.mechanism.mechanism import PRISMATIC
-from closedloop_dynamics.simulation.scene_records import Initial, Method, Scene
-from closedloop_dynamics.simulation.simulation import Simulation
 from hypothesis import given, settings, strategies
 import numpy as np
 import pytest
@@ -16,6 +14,7 @@ import pytest
 from ..core.engine import Engine
 from ..reference.compare import assert_agree
 from ..reference.linkages import random_linkage
+from ..reference.scenes import simulated
 
 # Some compile for minutes on a busy machine.
 pytestmark = pytest.mark.timeout(1200)
@@ -37,11 +36,7 @@ def drawn(number):
     return rng, mechanism, q, qd, rng.normal(size=len(q))
 
 
-def simulation(mechanism, q, qd, gravity=GRAVITY):
-    """Return a simulation with small steps."""
-    return Simulation(Scene(
-        'random', None, '', mechanism, Initial(tuple(q), tuple(qd)),
-        {'gravity': Gravity(gravity)}, Method(step_size=2e-4)))
+simulation = partial(simulated, gravity=GRAVITY, step_size=2e-4)
 
 
 @FIXED

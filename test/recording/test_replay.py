@@ -5,13 +5,11 @@
 
 from dataclasses import replace
 
-from closedloop_dynamics.effects.gravity import Gravity
 from closedloop_dynamics.effects.joint_damping import JointDamping
 from closedloop_dynamics.recording.recording import Log, Recording
 from closedloop_dynamics.recording.replay import replay, table
 from closedloop_dynamics.simulation.monitor import Monitor
 from closedloop_dynamics.simulation.scene import load_scene
-from closedloop_dynamics.simulation.scene_records import Initial, Scene
 from closedloop_dynamics.simulation.scene_text import read_scene_text, scene_text
 from closedloop_dynamics.simulation.simulation import Simulation
 from closedloop_dynamics.visual.pictures import deviations
@@ -20,6 +18,7 @@ import numpy as np
 import pytest
 
 from ..reference import spatial_machines
+from ..reference.scenes import scene
 
 # With drives, friction that remembers, and a sensor's noise among them.
 SCENES = ('carpet_scraper_on_carpet', 'four_bar', 'slider_crank', 'three_rrr',
@@ -103,11 +102,8 @@ def test_deviations_in_space_are_zero(name):
     mechanism = spatial_machines.with_single_freedoms(mechanism)
     mechanism = replace(mechanism, joints=(
         replace(mechanism.joints[0], actuated=True), *mechanism.joints[1:]))
-    nothing = [0.0] * len(mechanism.joints)
-    recorder = Recorder(Scene(
-        name, None, '', mechanism, Initial(nothing, nothing),
-        {'gravity': Gravity((0.0, -9.81, 0.0)), 'grease': JointDamping(
-            mechanism.joints[1].name, 0.01)}))
+    recorder = Recorder(scene(mechanism, gravity=(0.0, -9.81, 0.0), effects={
+        'grease': JointDamping(mechanism.joints[1].name, 0.01)}))
     drive(recorder, 30)
     recorder.simulation.reset()
     recorder.jumps += 1

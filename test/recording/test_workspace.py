@@ -16,10 +16,11 @@ from closedloop_dynamics.recording.workspace import (
     AT_LIMIT, COLLIDES, compute, least_distance, links, REACHED, read, Request,
     WorkspaceFileError)
 from closedloop_dynamics.simulation.pose_grid import angles_of, orientation_of
-from closedloop_dynamics.simulation.scene_records import Initial, Scene
 from closedloop_dynamics.simulation.singular_curves import TYPE_1, TYPE_2
 import numpy as np
 import pytest
+
+from ..reference.scenes import scene
 
 CENTER = 'platform_center'
 PROXIMAL, DISTAL = 0.4, 0.6
@@ -213,7 +214,7 @@ def test_orientations_that_are_reached_are_counted(three_rrr):
 def test_a_point_of_a_five_bar():
     """The intersection of two annuli, with two degrees of freedom."""
     rods = {'left': 1.0, 'right': 1.0}
-    scene = Scene('five_bar', None, '', Mechanism(
+    made = scene(Mechanism(
         'five_bar', (Body('a', 1.0, (0.5, 0.0), 0.1), Body('b', 1.0, (0.75, 0.0), 0.2),
                      Body('c', 1.0, (0.5, 0.0), 0.1), Body('d', 1.0, (0.75, 0.0), 0.2)),
         (Joint('left', 'revolute', 'ground', 'a', (0.0, 0.0), actuated=True),
@@ -221,9 +222,8 @@ def test_a_point_of_a_five_bar():
          Joint('right', 'revolute', 'ground', 'c', (1.2, 0.0), actuated=True),
          Joint('other_knee', 'revolute', 'c', 'd', (rods['right'], 0.0))),
         (CutJoint('tip', 'revolute', 'b', 'd', (1.5, 0.0), (1.5, 0.0)),),
-        (Point('tool', 'b', (1.5, 0.0)),)), Initial(
-            (2.4, -1.4, 0.7, 1.4), (0.0,) * 4, ()))
-    found = compute(scene, Request('tool', {'x': (-2.0, 3.2, 40), 'y': (-2.6, 2.6, 41)}))
+        (Point('tool', 'b', (1.5, 0.0)),)), (2.4, -1.4, 0.7, 1.4))
+    found = compute(made, Request('tool', {'x': (-2.0, 3.2, 40), 'y': (-2.6, 2.6, 41)}))
     x, y = (axis.values for axis in found.axes)
     reach = [np.hypot(x[:, np.newaxis] - base, y) for base in (0.0, 1.2)]
     inside = np.all([(one <= 2.5) & (one >= 0.5) for one in reach], axis=0)
@@ -233,9 +233,9 @@ def test_a_point_of_a_five_bar():
     # Type 2: both distal links in line.
     assert curves
     for curve in curves:
-        poses = body_poses(scene.mechanism, curve.position)
-        ways = [world_points(pose_of(scene.mechanism, poses, body), np.array([1.5, 0.0]))
-                - world_points(pose_of(scene.mechanism, poses, body), np.zeros(2))
+        poses = body_poses(made.mechanism, curve.position)
+        ways = [world_points(pose_of(made.mechanism, poses, body), np.array([1.5, 0.0]))
+                - world_points(pose_of(made.mechanism, poses, body), np.zeros(2))
                 for body in ('b', 'd')]
         assert np.abs(np.linalg.det(np.stack(ways, axis=1))).max() < 1e-9
 

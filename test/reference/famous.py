@@ -3,12 +3,11 @@
 
 """Jansen's walking leg, and a 4-RRR with one drive more than freedoms."""
 
-from closedloop_dynamics.effects.gravity import Gravity
 from closedloop_dynamics.mechanism.mechanism import (
     Body, CutJoint, GROUND, Joint, Mechanism, REVOLUTE)
-from closedloop_dynamics.simulation.scene_records import Initial, Method, Scene
 import numpy as np
 
+from .scenes import scene
 from .trees import unit
 
 # Jansen's eleven numbers [cm] and the height of the crank; m is the crank.
@@ -73,9 +72,8 @@ def jansen(crank=0.3):
     position = (crank, angle(tip, upper) - crank, angle(tip, lower) - crank, turn['rocker'],
                 turn['lower_arm'], angle(outer, knee) - turn['rocker'],
                 angle(lower, knee) - turn['lower_arm'])
-    return Scene('jansen', None, '', Mechanism('jansen', bodies, joints, cuts),
-                 Initial(position, (0.0,) * 7, ('to_crank',)),
-                 {'gravity': Gravity((0.0, -9.81))}, Method())
+    return scene(Mechanism('jansen', bodies, joints, cuts), position, gravity=(0.0, -9.81),
+                 hold=('to_crank',))
 
 
 def four_rrr():
@@ -100,7 +98,5 @@ def four_rrr():
             cuts.append(CutJoint(
                 f'cut_{number}', REVOLUTE, f'distal_{number}', 'platform', (0.4, 0.0),
                 tuple(float(value) for value in corner - corners[0])))
-    return Scene('four_rrr', None, '', Mechanism('four_rrr', tuple(bodies), tuple(joints),
-                                                 tuple(cuts)),
-                 Initial(tuple(position), (0.0,) * len(position)),
-                 {'gravity': Gravity((0.0, -9.81))}, Method())
+    return scene(Mechanism('four_rrr', tuple(bodies), tuple(joints), tuple(cuts)), position,
+                 gravity=(0.0, -9.81))

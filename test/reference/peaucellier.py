@@ -10,12 +10,11 @@ straight line all places are known in closed form, and so are kinetic and potent
 functions of the crank's angle: one equation of motion, which notices no singularity.
 """
 
-from closedloop_dynamics.effects.gravity import Gravity
 from closedloop_dynamics.mechanism.mechanism import Body, CutJoint, Joint, Mechanism, REVOLUTE
-from closedloop_dynamics.simulation.scene_records import Initial, Method, Scene
 import numpy as np
 from scipy.integrate import quad, solve_ivp
 
+from . import scenes
 from .trees import derivative, turned, unit
 
 # Lengths of the crank, which is also the distance of the two ground pivots, of the long arms and
@@ -62,9 +61,9 @@ def scene(start=START, rate=RATE):
     turns = [np.arctan2(*(end - first)[::-1]) for first, end, _ in rods(start)]
     position = (start, turns[1], turns[2], *(
         turns[k] - turns[1 if k < 5 else 2] for k in range(3, 7)))
-    return Scene('peaucellier', None, '', Mechanism('peaucellier', bodies, joints, cuts),
-                 Initial(position, (rate,) + (0.0,) * 6, ('to_crank',)),
-                 {'gravity': Gravity((0.0, -GRAVITY))}, Method())
+    return scenes.scene(
+        Mechanism('peaucellier', bodies, joints, cuts), position, (rate,) + (0.0,) * 6,
+        gravity=(0.0, -GRAVITY), hold=('to_crank',))
 
 
 def inertia(angle):

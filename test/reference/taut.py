@@ -3,21 +3,11 @@
 
 """Machines with closure equations that forbid motions to second order only, and their twins."""
 
-from closedloop_dynamics.effects.gravity import Gravity
 from closedloop_dynamics.mechanism.mechanism import (
     Body, CutJoint, GROUND, Joint, Mechanism, PRISMATIC, REVOLUTE, SPHERICAL)
-from closedloop_dynamics.simulation.scene_records import Initial, Method, Scene
 import numpy as np
 
 from .machines import bar, revolute, revolute_cut
-
-
-def scene(mechanism, position, velocity=None, hold=(), method=None, gravity=None):
-    """Return a scene of a mechanism, without gravity where none is given."""
-    nv = mechanism.coordinates.nv
-    return Scene('taut', None, '', mechanism, Initial(
-        tuple(position), tuple(np.zeros(nv) if velocity is None else velocity), hold),
-        {} if gravity is None else {'gravity': Gravity(gravity)}, method or Method())
 
 
 def gantry(tilt=0.0, carriages=(2.0, 2.0), bars=(1.0,), length=1.0, arm=False):

@@ -8,8 +8,8 @@ import json
 from test.reference import cases, spatial_machines
 from test.reference.spatial_maximal import matrix
 from test.ros.test_frames import broadcast  # noqa: F401
-from test.simulation.test_orientations import scene as orientation_scene
-from test.simulation.test_space import machine, scene, tilted_four_bar, TURN
+from test.reference.scenes import scene_in_space
+from test.simulation.test_space import machine, tilted_four_bar, TURN
 from xml.etree import ElementTree
 
 from builtin_interfaces.msg import Time
@@ -58,17 +58,17 @@ def floater():
 def made(name):
     """Return the scene of a machine in space."""
     if name == 'floater':
-        return orientation_scene(floater(), velocity={'hull': {
+        return scene_in_space(floater(), velocity={'hull': {
             'velocity': (0.1, 0.2, 0.3), 'angular_velocity': (1.0, 2.0, 3.0)}},
             gravity=(0.0, 0.0, -1.0))
     if name == 'tilted':
         _, mechanism, axes = tilted_four_bar(TURN)
-        return replace(scene(mechanism, tuple(axes @ (0.0, -9.81, 0.0))),
+        return replace(scene_in_space(mechanism, gravity=axes @ (0.0, -9.81, 0.0)),
                        initial=load_scene('four_bar').initial)
     mechanism, _ = machine(name)
     first, *others = mechanism.joints
-    return scene(replace(mechanism, joints=(replace(first, actuated=True), *others)),
-                 gravity=(0.0, -9.81, 1.0))
+    return scene_in_space(replace(mechanism, joints=(replace(first, actuated=True), *others)),
+                          gravity=(0.0, -9.81, 1.0))
 
 
 def stepped_node(make_node, path, **parameters):
@@ -203,7 +203,7 @@ def test_orientations_are_set_from_a_topic(make_node, tmp_path):
 
 def test_an_idle_spin_needs_no_number(make_node, tmp_path):
     mechanism, _ = spatial_machines.rssr_four_bar()
-    node = stepped_node(make_node, file_of(orientation_scene(mechanism), tmp_path))
+    node = stepped_node(make_node, file_of(scene_in_space(mechanism), tmp_path))
     node.on_set_state(JointState(name=['crank'], position=[0.3]))
     assert node.counts == {'states set': 1, 'states refused': 0}
     assert node.simulation.position[0] == 0.3

@@ -11,13 +11,14 @@ from closedloop_dynamics.integration import system
 from closedloop_dynamics.mechanism.mechanism import Mechanism
 from closedloop_dynamics.simulation.change_points import branches_apart
 from closedloop_dynamics.simulation.errors import AssemblyError, SimulationError
-from closedloop_dynamics.simulation.scene_records import Initial, Method, Scene
+from closedloop_dynamics.simulation.scene_records import Method
 from closedloop_dynamics.simulation.simulation import Simulation
 import hard_machines
 import numpy as np
 import pytest
 
 from ..reference.machines import bar, revolute, revolute_cut
+from ..reference.scenes import simulated
 from ..reference.special import ladder
 
 class Bars(NamedTuple):
@@ -70,8 +71,8 @@ class Bars(NamedTuple):
 
     def started(self, crank=0.4, rate=-1.0, hold=('A',), method=None):
         """Return a simulation, the coupler's end on the positive side."""
-        return Simulation(Scene('four_bar', None, '', self.mechanism(), Initial(
-            tuple(self.closed(crank, 1.0)), (rate, 0.0, 0.0), hold), {}, method or Method()))
+        return simulated(self.mechanism(), self.closed(crank, 1.0), (rate, 0.0, 0.0), hold=hold,
+                         method=method)
 
 
 def apart(angles, others):
@@ -166,8 +167,7 @@ def test_by_how_much_lengths_miss_a_change_point():
         assert abs(found * bars.coupler - abs(longer)) < 1e-3 * abs(longer) + 1e-15
     for mechanism, position, _ in (ladder(1, 0.5 * np.pi - 0.01), ladder(3, 0.5 * np.pi - 0.01),
                                    hard_machines.pantograph(-1.9, -1.89, 1.0, 1.0)):
-        simulation = Simulation(Scene('flat', None, '', mechanism, Initial(
-            tuple(position), tuple(np.zeros(len(position)))), {}, Method()))
+        simulation = simulated(mechanism, position)
         assert branches_apart(mechanism, simulation.data.loop_model.equations, position) == 0.0
 
 
@@ -228,8 +228,7 @@ def test_starts_beside_a_change_point_go_on_their_branch(beside, side, hold):
     bars = Bars()
     rates = -sum(weight / step * bars.closed(beside + k * step, side * np.sign(
         (beside + k * step) * beside)) for k, weight in places.items())
-    simulation = Simulation(Scene('four_bar', None, '', bars.mechanism(), Initial(
-        tuple(bars.closed(beside, side)), tuple(rates), hold), {}, Method()))
+    simulation = simulated(bars.mechanism(), bars.closed(beside, side), rates, hold=hold)
     # Differences of the eighth order, over 0.01 rad; beside the position is rounded to 1e-16 over
     # the distance, which the interpolation does not feel.
     assert np.abs(simulation.velocity - rates).max() < 1e-7

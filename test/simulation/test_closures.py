@@ -4,6 +4,7 @@
 """Rods without mass, points on lines and planes, threads, gears: against what they stand for."""
 
 from dataclasses import replace
+from functools import partial
 
 from closedloop_dynamics.effects.gravity import Gravity
 from closedloop_dynamics.mechanism.closure import closure
@@ -14,14 +15,14 @@ from closedloop_dynamics.mechanism.validation import validate_mechanism
 from closedloop_dynamics.recording.run import columns, row
 from closedloop_dynamics.simulation.errors import AssemblyError
 from closedloop_dynamics.simulation.key_paths import changed, numbers
-from closedloop_dynamics.simulation.scene_records import Initial, Method, Scene
+from closedloop_dynamics.simulation.scene_records import Method
 from closedloop_dynamics.simulation.scene_text import read_scene_text, scene_text
 from closedloop_dynamics.simulation.simulation import Simulation
 from closedloop_dynamics.studies.check import describe
 import numpy as np
 import pytest
 
-from ..reference import spatial_machines
+from ..reference import scenes, spatial_machines
 from ..reference.compare import assert_agree
 
 GRAVITY = {'gravity': Gravity(spatial_machines.GRAVITY)}
@@ -31,11 +32,7 @@ NOWHERE = (0.0, 0.0, 0.0)
 MATTER = {'inertia': (0.02, 0.03, 0.04)}
 
 
-def scene(mechanism, position=None, velocity=None, effects=GRAVITY):
-    """Return a scene with the positions and velocities given, in the order of the joints."""
-    still = [0.0] * len(mechanism.joints)
-    return Scene(mechanism.name, None, '', mechanism,
-                 Initial(position or still, velocity or still), effects, TIGHT)
+scene = partial(scenes.scene, effects=GRAVITY, method=TIGHT)
 
 
 def gliding(name, body, place=NOWHERE, turning=True):

@@ -9,7 +9,6 @@ import math
 from closedloop_dynamics import Simulation
 from closedloop_dynamics.core.codegen import space
 from closedloop_dynamics.core.types import CUT_COUPLING, CUT_DISTANCE, CUT_POINT_ON_LINE
-from closedloop_dynamics.effects.gravity import Gravity
 from closedloop_dynamics.mechanism.mechanism import (
     Body, Coupling, CutJoint, Joint, Mechanism, MechanismError)
 from closedloop_dynamics.mechanism.reader import read_mechanism
@@ -17,21 +16,15 @@ from closedloop_dynamics.mechanism.validation import validate_mechanism
 from closedloop_dynamics.recording.run import columns, row
 from closedloop_dynamics.simulation.errors import AssemblyError
 from closedloop_dynamics.simulation.scene import load_scene
-from closedloop_dynamics.simulation.scene_records import Initial, Method, Scene
 import numpy as np
 import pytest
 import yaml
 
 from ..reference.compare import assert_agree
 from ..reference.formulations import dense_dynamics, FORMULATIONS
+from ..reference.scenes import scene, simulated
 
 ORIGIN = (0.0, 0.0)
-
-
-def scene(mechanism, position, hold, effects=None, **method):
-    """Return a scene of a mechanism that starts at rest."""
-    start = Initial(position, len(position) * (0.0,), hold)
-    return Scene(mechanism.name, None, '', mechanism, start, effects or {}, Method(**method))
 
 
 def four_bar(couplings=(), cut='far', base=0.4):
@@ -66,7 +59,7 @@ def geared(cut):
         joints=(*machine.joints, Joint('axle', 'revolute', 'ground', 'wheel', (0.0, 1.0))),
         couplings=(Coupling('gear', {'axle': 0.02, 'far': 0.05}, 0.1, radius=0.02),))
     start = {'far': (0.7, 1.2, -0.3, 0.0), 'near': (0.7, 1.2, -0.8, 0.0)}[cut]
-    return Simulation(scene(machine, start, ('driven',), accuracy=1e-9))
+    return simulated(machine, start, hold=('driven',), accuracy=1e-9)
 
 
 def test_a_coupling_of_a_cut_joint_is_that_of_the_joint_in_the_tree():
@@ -118,10 +111,10 @@ def test_a_rollout_is_the_run():
     assert_agree(found.constraint_forces[1, -1], simulation.constraint_forces, 1e-9)
 
 
-def test_a_coupling_that_locks_is_told_with_its_rank():
+def test_a_coupling_that_locks_is_reported_with_its_rank():
     machine = four_bar([Coupling('gear', {'driven': 1.0, 'hinge': 2.0}, 3.1)])
     with pytest.warns(RuntimeWarning, match='Nothing can move: 3 of 3 equations .*: gear'):
-        locked = Simulation.from_scene(scene(machine, (0.7, 1.2, -0.3), ()))
+        locked = Simulation.from_scene(scene(machine, (0.7, 1.2, -0.3)))
     assert locked.data.degrees_of_freedom() == 0
     locked.advance(locked.joint_torques([5.0]), 0)
     # Against the 1400 rad/s^2 of the crank alone.
@@ -132,7 +125,7 @@ def test_couplings_that_contradict_one_another_are_named():
     machine = four_bar([Coupling('one', {'driven': 1.0, 'near': 1.0}, 0.4),
                         Coupling('other', {'driven': 1.0, 'near': 1.0}, 0.5)])
     with pytest.raises(AssemblyError, match='couplings.one open by .*couplings.other open by'):
-        Simulation(scene(machine, (0.7, 1.2, -0.3), ()))
+        simulated(machine, (0.7, 1.2, -0.3))
 
 
 def test_a_rod_is_the_bar_without_mass():
@@ -147,7 +140,7 @@ def test_a_rod_is_the_bar_without_mass():
     with_bar = Mechanism('bar', (slider, arm, bar), (
         *joints, Joint('pin', 'revolute', 'arm', 'bar', (0.6, 0.0))), (CutJoint(
             'rod', 'revolute', 'bar', 'ground', (0.5, 0.0), (0.9, 0.5)),))
-    rod, bar = (Simulation(scene(machine, start, ('hinge',), {'gravity': Gravity((0.0, -9.81))}))
+    rod, bar = (simulated(machine, start, gravity=(0.0, -9.81), hold=('hinge',))
                 for machine, start in ((with_rod, (0.1, 0.0)), (with_bar, (0.1, 0.0, 0.8))))
     assert_agree(rod.position, bar.position[:2], 1e-9)
     assert_agree(rod.acceleration, bar.acceleration[:2], 1e-6)
@@ -169,8 +162,8 @@ def test_a_pin_in_a_slot_is_a_block_without_mass():
     with_block = Mechanism('block', (pendulum, lever, block), (
         *joints, Joint('pin', 'revolute', 'crank', 'block', (0.15, 0.0))), (CutJoint(
             'slot', 'prismatic', 'block', 'lever', ORIGIN, (0.05, 0.0)),))
-    one = Simulation(scene(slot, (0.3, 1.3), ('crank_joint',)))
-    other = Simulation(scene(with_block, (0.3, 1.3, 1.0), ('crank_joint',)))
+    one = simulated(slot, (0.3, 1.3), hold=('crank_joint',))
+    other = simulated(with_block, (0.3, 1.3, 1.0), hold=('crank_joint',))
     for simulation in (one, other):
         simulation.advance(simulation.joint_torques([0.7]), 0)
     assert_agree(one.position, other.position[:2], 1e-9)
@@ -245,8 +238,7 @@ def test_a_joint_between_bodies_may_be_cut_where_it_is_coupled(tmp_path):
         machine = read_mechanism(path)
         assert machine.tree.cut == (cut,)
         start = {'driven': 0.7, 'near': -0.4, 'far': 0.6, 'hinge': 1.2, 'axle': 0.0}
-        one = Simulation(scene(machine, tuple(start[name] for name in machine.joint_names), (
-            'driven',)))
+        one = simulated(machine, [start[name] for name in machine.joint_names], hold=('driven',))
         poses = dict(zip((body.name for body in machine.bodies), one.body_poses[:, 2]))
         turns.append(poses['wheel'] + 2.0 * (poses['rocker'] - poses['coupler'] - 0.25) - 0.5)
     # Whole turns of a body aside.

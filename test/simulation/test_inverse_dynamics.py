@@ -6,24 +6,21 @@
 from dataclasses import replace
 
 from closedloop_dynamics import Simulation
-from closedloop_dynamics.effects.gravity import Gravity
 from closedloop_dynamics.effects.joint_spring import JointSpring
 from closedloop_dynamics.effects.law import Law
 from closedloop_dynamics.simulation.errors import SimulationError
 from closedloop_dynamics.simulation.linearisation import Linearisation
 from closedloop_dynamics.simulation.scene import load_scene
-from closedloop_dynamics.simulation.scene_records import Initial, Method, Scene
 import numpy as np
 import pytest
 
 from ..reference import cases, dense
+from ..reference.scenes import simulated
 
 
 def built(mechanism, q, qd, **effects):
     """Return the inverse dynamics of a simulation in the earth's gravity."""
-    return Simulation(Scene(
-        'drawn', None, '', mechanism, Initial(tuple(q), tuple(qd)),
-        {'gravity': Gravity(dense.EARTH), **effects}, Method())).data.inverse
+    return simulated(mechanism, q, qd, effects, dense.EARTH).data.inverse
 
 
 def at_once(inverse, q, qd, qdd):

@@ -6,7 +6,6 @@
 from dataclasses import fields, replace
 from itertools import product
 
-from closedloop_dynamics.effects.gravity import Gravity
 from closedloop_dynamics.effects.joint_friction import JointFriction
 from closedloop_dynamics.effects.payload import Payload
 from closedloop_dynamics.effects.rotor import Rotor
@@ -14,11 +13,12 @@ from closedloop_dynamics.mechanism.validation import validate_mechanism
 from closedloop_dynamics.simulation import loop_model
 from closedloop_dynamics.simulation.errors import SimulationError
 from closedloop_dynamics.simulation.scene import load_scene
-from closedloop_dynamics.simulation.scene_records import Initial, Method, Scene
 from closedloop_dynamics.simulation.simulation import Simulation
 from families import ladder
 import numpy as np
 import pytest
+
+from ..reference.scenes import scene
 
 # Bennett's linkage turns round several times in so many calls.
 CALLS, DURATION = 2000, 0.01
@@ -28,8 +28,7 @@ def of_many_joints():
     """Return a scene of more freedoms than are unrolled."""
     mechanism, position = ladder(24)
     mechanism = validate_mechanism(mechanism)
-    return Scene('ladder', None, '', mechanism, Initial(position, (0.0,) * len(position)),
-                 {'gravity': Gravity((0.0, -9.81))}, Method())
+    return scene(mechanism, position, gravity=(0.0, -9.81))
 
 
 def loaded(name):

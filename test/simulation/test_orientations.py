@@ -4,10 +4,10 @@
 """Joints of several degrees of freedom: known motions, and their states."""
 
 from dataclasses import replace
+from functools import partial
 
 from closedloop_dynamics import Model
 from closedloop_dynamics.effects.actuator import Actuator
-from closedloop_dynamics.effects.gravity import Gravity
 from closedloop_dynamics.effects.joint_damping import JointDamping
 from closedloop_dynamics.effects.joint_spring import JointSpring
 from closedloop_dynamics.effects.sensor import Sensor
@@ -19,7 +19,7 @@ from closedloop_dynamics.mechanism.mechanism import Body, CutJoint, Joint, Mecha
 from closedloop_dynamics.recording.run import columns, Report, run
 from closedloop_dynamics.simulation.key_paths import changed, numbers, resolve
 from closedloop_dynamics.simulation.scene import load_scene
-from closedloop_dynamics.simulation.scene_records import Initial, Method, Scene
+from closedloop_dynamics.simulation.scene_records import Initial, Method
 from closedloop_dynamics.simulation.scene_text import read_scene_text, scene_text
 from closedloop_dynamics.simulation.simulation import Simulation
 from closedloop_dynamics.studies.check import describe
@@ -32,24 +32,14 @@ from spinning_bodies import (
 
 from ..reference import spatial_machines
 from ..reference.compare import assert_agree
+from ..reference.scenes import scene_in_space as scene, simulated
 from ..reference.spatial_maximal import matrix
 
 TIGHT = {'integrator': 'dop853', 'tolerance': 1e-13}
 ORDERS = {'semi_implicit_euler': 1, 'heun': 2, 'rk4': 4, 'rodas4_fixed': 4}
 
 
-def scene(mechanism, position=None, velocity=None, gravity=spatial_machines.GRAVITY, **method):
-    """Return a scene of a mechanism, as drawn and at rest where nothing is said."""
-    names = mechanism.coordinates
-    q = names.filled('position', position or {}, names.start())
-    qd = names.filled('velocity', velocity or {}, np.zeros(names.nv))
-    return Scene(mechanism.name, None, '', mechanism, Initial(tuple(q), tuple(qd)),
-                 {'gravity': Gravity(gravity)}, Method(**method))
-
-
-def simulation(*arguments, **keywords):
-    """Return a simulation of such a scene."""
-    return Simulation(scene(*arguments, **keywords))
+simulation = partial(simulated, gravity=spatial_machines.GRAVITY)
 
 
 def body_on(kind, center=(0.0, 0.0, 0.0), inertia=(0.02, 0.03, 0.04), **keys):

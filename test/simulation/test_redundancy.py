@@ -10,7 +10,6 @@ from types import SimpleNamespace
 from closedloop_dynamics.cli import main
 from closedloop_dynamics.core.codegen.routines import operations
 from closedloop_dynamics.core.types import RANK_REVEALING_COUNT
-from closedloop_dynamics.effects.gravity import Gravity
 from closedloop_dynamics.effects.joint_friction import JointFriction
 from closedloop_dynamics.mechanism.mechanism import Body, CutJoint, Joint, Mechanism
 from closedloop_dynamics.mechanism.reader import with_cuts
@@ -21,12 +20,13 @@ from closedloop_dynamics.simulation.geometry import Geometry
 from closedloop_dynamics.simulation.redundancy import (
     ANY_LENGTHS, find_redundancy, THESE_LENGTHS)
 from closedloop_dynamics.simulation.scene import load_scene
-from closedloop_dynamics.simulation.scene_records import Initial, Method, Scene
+from closedloop_dynamics.simulation.scene_records import Initial
 from closedloop_dynamics.simulation.simulation import Simulation
 from closedloop_dynamics.studies.check import describe
 import numpy as np
 import pytest
 
+from ..reference.scenes import scene, simulated
 from .test_space import tilted_four_bar, TURN
 from ..reference import spatial_machines
 from ..reference.compare import assert_agree
@@ -138,10 +138,9 @@ def turntable(kind, **axes):
               Joint('rocker', 'revolute', 'table', 'rocker', (0.4, 0.0, 0.0), axis=Y))
     cut = CutJoint('pin', kind, 'coupler', 'rocker', (0.35, 0.0, 0.0), (0.25, 0.0, 0.0),
                    **axes)
-    return Scene('turntable', None, '', Mechanism('turntable', bodies, joints, (cut,)),
-                 Initial((0.0, -1.0, 0.5, -1.7), (3.0, 1.0, 0.0, 0.0)),
-                 {'gravity': Gravity((0.0, 0.0, -9.81))},
-                 Method(integrator='dop853', tolerance=1e-11))
+    return scene(Mechanism('turntable', bodies, joints, (cut,)), (0.0, -1.0, 0.5, -1.7),
+                 (3.0, 1.0, 0.0, 0.0), gravity=(0.0, 0.0, -9.81), integrator='dop853',
+                 tolerance=1e-11)
 
 
 def test_equations_are_exchanged_where_they_no_longer_serve():
@@ -327,9 +326,7 @@ def test_axes_that_are_parallel_but_for_the_digits_of_a_file_hinder_no_motion(di
         mechanism = closed_here(replace(tilted, joints=tuple(replace(
             joint, axis=tuple(joint.axis + size * rng.uniform(-1.0, 1.0, 3)))
             for joint in tilted.joints)), q)
-        simulation = Simulation(Scene(
-            'tilted', None, '', mechanism, Initial(tuple(q), planar.initial.velocity), {},
-            Method(accuracy=1e-8)))
+        simulation = simulated(mechanism, q, planar.initial.velocity, accuracy=1e-8)
         assert len(simulation.data.system.lam) == 2
         simulation.step({simulation.actuated_joints[0]: 0.2}, 1.0)
         assert simulation.data.exchanges == 0 and simulation.closure <= 30.0 * size + 1e-10

@@ -26,6 +26,7 @@ import pytest
 
 from ..reference import taut
 from ..reference.redundant_loops import random_loops
+from ..reference.scenes import scene
 from ..reference.special import ladder, parallelogram, scissor_lift
 
 METHODS = [Method(), Method(integrator='dop853', tolerance=1e-12), Method(integrator='rodas4'),
@@ -37,8 +38,8 @@ METHODS = [Method(), Method(integrator='dop853', tolerance=1e-12), Method(integr
     method.integrator, method.stabilisation)))
 @pytest.mark.parametrize('tilt', [0.0, 0.3])
 def test_a_taut_bar_keeps_carriages_abreast(tilt, method):
-    simulation = Simulation(taut.scene(taut.gantry(tilt), np.zeros(3), method=method,
-                                       gravity=(0.0, -9.81)))
+    simulation = Simulation(scene(
+        taut.gantry(tilt), np.zeros(3), method=method, gravity=(0.0, -9.81)))
     assert simulation.data.degrees_of_freedom() == 1
     simulation.step({'rail_0': 1.0}, 0.5)
     # One body of 5 kg on a slope, for both carriages.
@@ -64,11 +65,11 @@ def test_taut_gantries_on_an_arm_move_as_one_carriage(count, monkeypatch):
                  'length': rng.uniform(0.2, 2.0)}
         start, torque = rng.uniform(-0.5, 0.5, 2), {'shoulder': 5.0, 'rail_0': rng.normal()}
         rate, weight = rng.uniform(-0.5, 0.5, 2), (0.0, -9.81)
-        many = Simulation(taut.scene(
+        many = Simulation(scene(
             taut.gantry(**parts, arm=True), (start[0], *several * [start[1]],
                                              *(several - 1) * [0.0]),
             (rate[0], *several * [rate[1]], *(several - 1) * [0.0]), gravity=weight))
-        one = Simulation(taut.scene(taut.carriage(**parts), start, rate, gravity=weight))
+        one = Simulation(scene(taut.carriage(**parts), start, rate, gravity=weight))
         assert many.data.degrees_of_freedom() == 2
         for simulation in (many, one):
             simulation.step(torque, 0.2)
@@ -81,49 +82,48 @@ def test_taut_gantries_on_an_arm_move_as_one_carriage(count, monkeypatch):
 
 @pytest.mark.parametrize('lean', [1e-9, 1e-6, 1e-3, 0.1])
 def test_a_start_that_leans_is_closed_upright(lean):
-    simulation = Simulation(taut.scene(taut.gantry(), (0.0, 0.0, lean)))
+    simulation = Simulation(scene(taut.gantry(), (0.0, 0.0, lean)))
     # Beside the position the loops are open by the square of the lean: as closed, if 1e-12.
     assert abs(simulation.position[2]) < 1e-9
     assert simulation.data.degrees_of_freedom() == 1
 
 
 def test_unequal_rates_become_those_of_one_body():
-    simulation = Simulation(taut.scene(taut.gantry(), np.zeros(3),
-                                       (1.0, 0.0, 0.0)))
+    simulation = Simulation(scene(taut.gantry(), np.zeros(3), (1.0, 0.0, 0.0)))
     assert np.abs(np.diff(simulation.velocity[:2])).max() < 1e-12
     assert abs(simulation.velocity[2]) < 1e-12
     assert any('became' in note for note in simulation.data.start_notes())
 
 
 def test_notes_and_check_say_what_is_forbidden():
-    scene = taut.scene(taut.gantry(), np.zeros(3))
-    simulation = Simulation(scene)
+    made = scene(taut.gantry(), np.zeros(3))
+    simulation = Simulation(made)
     note, = (note for note in simulation.data.start_notes() if 'second order' in note)
     assert note.startswith('high_0 forbids a motion of low_0 to second order only')
     assert 'low_0 = 0 by held_low_0' in note
-    text = describe(scene, simulation)
+    text = describe(made, simulation)
     assert ('1 = 3 joints - 1 independent equations (1 of 2 repeat others) - 1 that loops forbid '
             'to second order only') in text
-    assert find_degrees_of_freedom(scene.mechanism) == 1
+    assert find_degrees_of_freedom(made.mechanism) == 1
     # The force along the bar has no effect on the motion: the least is reported, and marked.
     assert simulation.data.redundancy().shared
 
 
 def test_a_flat_arch_is_rigid():
     with pytest.raises(AssemblyError, match=r'flat_arch cannot move: c forbids .* \(a, b\)'):
-        Simulation(taut.scene(taut.flat_arch(), np.zeros(2), gravity=(0.0, -9.81)))
+        Simulation(scene(taut.flat_arch(), np.zeros(2), gravity=(0.0, -9.81)))
     assert find_degrees_of_freedom(taut.flat_arch()) == 0
 
 
 def test_kinematics_and_report_count_real_freedoms():
-    scene = taut.scene(taut.gantry(), np.zeros(3))
-    assert degrees_of_freedom(scene, np.zeros(3)) == 1
-    run = DrivenRun(scene, {'rail_0': Drive(0.0, 0.5)}, 5, 1.0)
+    made = scene(taut.gantry(), np.zeros(3))
+    assert degrees_of_freedom(made, np.zeros(3)) == 1
+    run = DrivenRun(made, {'rail_0': Drive(0.0, 0.5)}, 5, 1.0)
     assert np.abs(run.position - np.outer(np.linspace(0.0, 0.5, 5), (1.0, 1.0, 0.0))).max() < 1e-9
 
 
 def test_models_solve_and_roll_out_with_real_freedoms():
-    model = Model(taut.scene(taut.gantry(), np.zeros(3)))
+    model = Model(scene(taut.gantry(), np.zeros(3)))
     assert np.abs(model.solve({'rail_0': 0.3}).q - (0.3, 0.3, 0.0)).max() < 1e-9
     found = model.assemblies({'rail_0': 0.3})
     assert np.abs(found.states.q - (0.3, 0.3, 0.0)).max() < 1e-9
@@ -141,7 +141,7 @@ def _held(arms, turn, ball):
              1.0 - upper[0] * np.sin(0.3) - lower[0] * np.sin(1.1))
     right = taut.hand_angles(reach, upper[1], lower[1], arms.get('apart', 0.0))
     tail = (turn,) if ball == REVOLUTE else (0.0, np.sin(0.5 * turn), 0.0, np.cos(0.5 * turn))
-    return taut.scene(mechanism, (*left, *right, *tail), gravity=(0.0, 0.0, -9.81))
+    return scene(mechanism, (*left, *right, *tail), gravity=(0.0, 0.0, -9.81))
 
 
 @pytest.mark.parametrize('arms', [

@@ -20,7 +20,7 @@ from closedloop_dynamics.mechanism.mechanism import Body, CutJoint, Joint, Mecha
 from closedloop_dynamics.recording.run import columns, Report, row, run
 from closedloop_dynamics.simulation.loop_model import independent
 from closedloop_dynamics.simulation.scene import load_scene
-from closedloop_dynamics.simulation.scene_records import Initial, Method, Scene
+from closedloop_dynamics.simulation.scene_records import Method
 from closedloop_dynamics.simulation.scene_text import read_scene_text, scene_text
 from closedloop_dynamics.simulation.simulation import Simulation
 from closedloop_dynamics.studies.check import describe
@@ -30,17 +30,11 @@ import pytest
 from ..reference import spatial_machines, spatial_maximal as twin
 from ..reference.compare import assert_agree
 from ..reference.formulations import dense_dynamics, FORMULATIONS
+from ..reference.scenes import scene_in_space as scene
 
 # Of a quaternion; about no axis of the world.
 TURN = tuple(np.array([0.1, 0.2, 0.3, 0.9]) / np.linalg.norm([0.1, 0.2, 0.3, 0.9]))
 TIGHT = {'integrator': 'dop853', 'tolerance': 1e-12}
-
-
-def scene(mechanism, gravity=spatial_machines.GRAVITY, effects=None, **method):
-    """Return a scene from rest in the drawn position."""
-    nothing = [0.0] * len(mechanism.joints)
-    return Scene(mechanism.name, None, '', mechanism, Initial(nothing, nothing),
-                 {'gravity': Gravity(gravity), **(effects or {})}, Method(**method))
 
 
 def machine(name, *points):
@@ -102,9 +96,8 @@ def test_a_tilted_four_bar_moves_as_the_planar_one():
     gravity = (0.3, -9.81)
     method = Method(**TIGHT)
     flat = Simulation(replace(planar, effects={'gravity': Gravity(gravity)}, method=method))
-    one = Simulation(Scene(
-        'tilted', None, '', tilted, planar.initial,
-        {'gravity': Gravity(tuple(axes @ (*gravity, 0.0)))}, method))
+    one = Simulation(replace(
+        scene(tilted, gravity=axes @ (*gravity, 0.0), method=method), initial=planar.initial))
     assert len(one.data.system.lam) == 2
     for _ in range(3):
         flat.step(None, 0.2)
@@ -198,8 +191,7 @@ def test_health_in_space_is_that_in_the_plane():
     planar, lifted, _ = tilted_four_bar((0.0, 0.0, 0.0, 1.0))
     gravity = (0.3, -9.81)
     flat = Simulation(replace(planar, effects={'gravity': Gravity(gravity)}))
-    one = Simulation(Scene('lifted', None, '', lifted, planar.initial,
-                           {'gravity': Gravity((*gravity, 0.0))}))
+    one = Simulation(replace(scene(lifted, gravity=(*gravity, 0.0)), initial=planar.initial))
     for each in (flat, one):
         each.step(None, 0.2)
     assert one.health.unique_forces and not one.health.near_singular

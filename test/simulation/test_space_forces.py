@@ -22,7 +22,8 @@ from closedloop_dynamics.simulation.simulation import Simulation
 import numpy as np
 import pytest
 
-from .test_space import machine, scene, TIGHT
+from ..reference.scenes import scene_in_space as scene
+from .test_space import machine, TIGHT
 from ..core.spatial_engine import SpatialEngine
 from ..reference import cases, spatial_linkages, spatial_maximal as twin
 from ..reference.compare import assert_agree

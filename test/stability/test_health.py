@@ -19,13 +19,14 @@ from closedloop_dynamics.simulation.errors import AssemblyError, StiffnessError
 from closedloop_dynamics.simulation.guards import fastest_rate
 from closedloop_dynamics.simulation.modeling import build_model
 from closedloop_dynamics.simulation.scene import load_scene
-from closedloop_dynamics.simulation.scene_records import Initial, Method, Scene
+from closedloop_dynamics.simulation.scene_records import Method
 from closedloop_dynamics.simulation.simulation import Simulation
 import hard_machines as machines
 import numpy as np
 import pytest
 
 from ..reference import dense, special
+from ..reference.scenes import simulated
 
 # Some compile for minutes on a busy machine.
 pytestmark = pytest.mark.timeout(1200)
@@ -217,8 +218,7 @@ def pendulum(effect, method=STEP):
     """Return a simulation of one bar with an effect at its joint."""
     mechanism = replace(
         special.chain(np.random.default_rng(0), 1)[0], cut_joints=())
-    return Simulation(Scene('bar', None, '', mechanism, Initial((0.0,), (0.0,)),
-                            {'effect': effect}, method))
+    return simulated(mechanism, effects={'effect': effect}, method=method)
 
 
 def test_fastest_rate_of_a_spring_and_of_a_damper():

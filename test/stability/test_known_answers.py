@@ -10,7 +10,7 @@ from closedloop_dynamics.effects.joint_spring import JointSpring
 from closedloop_dynamics.mechanism.mechanism import Body, Mechanism
 from closedloop_dynamics.simulation.errors import AssemblyError
 from closedloop_dynamics.simulation.scene import load_scene, scene_names
-from closedloop_dynamics.simulation.scene_records import Initial, Method, Scene
+from closedloop_dynamics.simulation.scene_records import Method
 from closedloop_dynamics.simulation.simulation import Simulation
 import hard_cases
 import hard_machines as machines
@@ -18,6 +18,7 @@ import numpy as np
 import pytest
 
 from ..reference import cases
+from ..reference.scenes import simulated
 
 # Some compile for minutes on a busy machine.
 pytestmark = pytest.mark.timeout(1200)
@@ -152,10 +153,8 @@ def test_gap_has_no_trend_over_an_hour(name):
 
 def pendulum(bodies, joints, method, effects=()):
     """Return where a chain of bars under gravity has swung in half a second [rad]."""
-    at_rest = (0.0,) * len(joints)
-    simulation = Simulation(Scene(
-        'pendulum', None, '', Mechanism('pendulum', bodies, joints), Initial(at_rest, at_rest),
-        {**machines.gravity(0.0), **dict(effects)}, method))
+    simulation = simulated(Mechanism('pendulum', bodies, joints), effects={
+        **machines.gravity(0.0), **dict(effects)}, method=method)
     simulation.step(duration=0.5)
     return simulation.position[0]
 

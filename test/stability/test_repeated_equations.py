@@ -13,14 +13,13 @@ others it is locked, strictly; next to where it is drawn the loops hardly open.
 from dataclasses import replace
 import math
 
-from closedloop_dynamics.effects.gravity import Gravity
 from closedloop_dynamics.mechanism.mechanism import (
     Body, CutJoint, GROUND, Joint, Mechanism, REVOLUTE)
 from closedloop_dynamics.simulation.errors import AssemblyError, ClosureError
-from closedloop_dynamics.simulation.scene_records import Initial, Method, Scene
-from closedloop_dynamics.simulation.simulation import Simulation
 import numpy as np
 import pytest
+
+from ..reference.scenes import simulated
 
 LENGTH, ARM = 1.0, 0.2
 PLANE_AND_SPACE = pytest.mark.parametrize('space', [False, True], ids=['plane', 'space'])
@@ -88,8 +87,7 @@ def beside(one, other):
 def simulate(mechanism, q):
     """Return a simulation that starts at rest, under gravity."""
     down = (0.0, -9.81) if mechanism.planar else (0.0, -9.81, 0.0)
-    return Simulation(Scene('neck', None, '', mechanism, Initial(tuple(q), (0.0,) * len(q)),
-                            {'gravity': Gravity(down)}, Method()))
+    return simulated(mechanism, q, gravity=down)
 
 
 @PLANE_AND_SPACE

@@ -17,7 +17,7 @@ import numpy as np
 import pytest
 
 from ..reference import spatial_machines
-from ..simulation.test_orientations import scene as scene_of
+from ..reference.scenes import scene_in_space as scene_of
 
 
 def linkage(**method):

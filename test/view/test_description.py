@@ -13,14 +13,14 @@ from closedloop_dynamics.effects.external_force import ExternalForce
 from closedloop_dynamics.effects.registry import effect_type
 from closedloop_dynamics.mechanism.mechanism import Body, Joint, Mechanism, Point, Visual
 from closedloop_dynamics.simulation.scene import load_scene
-from closedloop_dynamics.simulation.scene_records import Initial, Scene
-from closedloop_dynamics.simulation.simulation import Simulation
 from closedloop_dynamics.view import meshes
 from closedloop_dynamics.view.columns import motion_columns, SimulationRows
 from closedloop_dynamics.view.description import describe
 from closedloop_dynamics.view.effect_shapes import normal_of, outline_of
 import numpy as np
 import pytest
+
+from ..reference.scenes import simulated
 
 
 def described(name):
@@ -94,9 +94,7 @@ def sliding(normal=(0.0, 0.6, 0.8)):
 
 def test_a_contact_in_space_has_arrows_along_its_normal_and_against_the_sliding():
     mechanism, effects, position, velocity = sliding()
-    scene = Scene('block', None, '', mechanism, Initial(
-        tuple(position.tolist()), tuple(velocity.tolist())), effects)
-    simulation = Simulation(scene)
+    simulation = simulated(mechanism, position.tolist(), velocity.tolist(), effects)
     rows = SimulationRows(simulation)
     assert rows.columns.loads == [
         {'name': 'slope', 'kind': 'normal'}, {'name': 'slope', 'kind': 'friction'},
@@ -137,8 +135,7 @@ def test_a_contact_of_bodies_in_space_has_arrows_along_its_normal_and_against_th
     # Both are turned by no angle; the other one's point is at 0.1, 0, 0.
     position = np.array([0.1, *(reach * np.array([0.6, 0.8])), 0.0, 0.0, 0.0, 1.0,
                          *np.zeros(6), 1.0])
-    simulation = Simulation(Scene('balls', None, '', mechanism, Initial(
-        tuple(position.tolist()), tuple(velocity.tolist())), effects))
+    simulation = simulated(mechanism, position.tolist(), velocity.tolist(), effects)
     rows = SimulationRows(simulation)
     assert [load['kind'] for load in rows.columns.loads] == ['normal', 'friction']
     first = rows.columns.layout['columns']['loads']
