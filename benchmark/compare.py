@@ -10,7 +10,6 @@ so that what disturbs one disturbs the other. A commit may be any name that git 
 the files as they are. Results are stored as JSON: the times of every round, machine and commits.
 """
 
-import argparse
 from contextlib import contextmanager
 import json
 import os
@@ -20,7 +19,7 @@ import subprocess
 import sys
 import tempfile
 
-from machine import description, ROOT
+from machine import description, parser_of, ROOT
 
 WORKER = Path(__file__).with_name('compare_worker.py')
 ROUNDS, QUICK_ROUNDS = 25, 3
@@ -46,8 +45,6 @@ class Worker:
     def __init__(self, root, cache, tasks=()):
         """Start the process, and let it generate code."""
         environment = {**os.environ, 'PYTHONPATH': str(root), 'CLOSEDLOOP_CACHE_DIR': str(cache),
-                       # Of commits before the engine.
-                       'NUMBA_CACHE_DIR': str(cache),
                        'OMP_NUM_THREADS': '1'}
         self._process = subprocess.Popen(
             [sys.executable, str(WORKER), *tasks], env=environment, text=True, cwd=root,
@@ -74,17 +71,7 @@ class Worker:
 
 @contextmanager
 def checkout(commit, directory):
-    """
-    Give a commit a directory of its own.
-
-    Parameters
-    ----------
-    commit : str
-        Anything git knows, or ``'.'`` for the files as they are.
-    directory : pathlib.Path
-        Where it may go.
-
-    """
+    """Give a commit, or ``'.'`` for the files as they are, a directory that may be its own."""
     if commit == '.':
         yield ROOT
         return
@@ -109,22 +96,9 @@ def name_of(commit):
 
 def compare(before, after, rounds, tasks=()):
     """
-    Time the tasks that both commits know.
+    Time the tasks that both commits know, or these alone, so many rounds.
 
-    Parameters
-    ----------
-    before, after : str
-        Commits.
-    rounds : int
-        How often.
-    tasks : sequence of str
-        These alone; all when empty.
-
-    Returns
-    -------
-    dict
-        As written to the JSON file.
-
+    Returns what is written to the JSON file.
     """
     names = [name_of(commit) for commit in (before, after)]
     with tempfile.TemporaryDirectory() as scratch:
@@ -175,11 +149,10 @@ def report(result):
 
 def main(arguments=None):
     """Run the comparison; the exit code is 1 where anything has become slower."""
-    parser = argparse.ArgumentParser(description=__doc__)
+    parser = parser_of(__doc__, 'few rounds')
     parser.add_argument('before', help='a commit')
     parser.add_argument('after', nargs='?', default='.',
                         help='another one (default: the files as they are)')
-    parser.add_argument('--quick', action='store_true', help='few rounds')
     parser.add_argument('--task', action='append', default=[],
                         help='this task alone; may be repeated')
     parser.add_argument('--output', type=Path, metavar='FILE',

@@ -9,11 +9,14 @@ reads the CPU time of one call. Of the package
 it uses only what has long been there; a task that this commit does not know is left out.
 """
 
+from functools import partial
 import json
 import sys
 import time
 
 from closedloop_dynamics import Simulation
+from closedloop_dynamics.engine import native
+from closedloop_dynamics.integration.system import number_of_states
 import numpy as np
 
 # A measurement takes at least so long [s]: the first calls after a wait for the other commit find
@@ -22,27 +25,15 @@ PORTION = 2e-2
 
 
 def again(system, q, qd):
-    """Return evaluations of one state inside compiled code, by the engine, or by numba before."""
-    # Not by whether the import works: what a checkout lacks is found in an installed package.
-    if not hasattr(system, 'native'):
-        from closedloop_dynamics.studies.formulations import evaluate_again
-        return lambda count: evaluate_again(system, q, qd, count)
-    from closedloop_dynamics.engine import native
-    from closedloop_dynamics.integration.system import number_of_states
+    """Return evaluations of one state inside compiled code."""
     state = np.zeros(number_of_states(system))
     state[:len(q) + len(qd)] = np.concatenate((q, qd))
-    return lambda count: native.evaluate_again(system.native, state, count)
+    return partial(native.evaluate_again, system.native, state)
 
 
-def system_of(simulation):
-    """Return the engine's data of a simulation, which had them itself in earlier commits."""
-    return getattr(simulation, 'data', simulation).system
-
-
-def evaluation(scene):
-    """Return one evaluation of the accelerations inside compiled code."""
-    one = Simulation.from_scene(scene)
-    return again(system_of(one), one.position, one.velocity)
+def evaluation(one):
+    """Return one evaluation of the accelerations of a simulation inside compiled code."""
+    return again(one.data.system, one.position, one.velocity)
 
 
 def python_call(scene):
@@ -69,6 +60,7 @@ def steps(scene, **method):
 
 def large_ladder():
     """Return one evaluation of a ladder of 201 joints."""
+    # Where it is used: what a commit does not know is then left out, with its task alone.
     from closedloop_dynamics.integration.system import build_system
     from closedloop_dynamics.simulation.modeling import build_model
     from families import ladder
@@ -83,8 +75,7 @@ def beside_flat(loops, tilt):
     """Return one evaluation of a ladder of parallelograms so far from flat [rad]."""
     from closedloop_dynamics.simulation.scene_records import Method
     from hard_machines import ladder, scene
-    one = Simulation(scene(*ladder(loops, 0.5 * np.pi - tilt), Method()))
-    return again(system_of(one), one.position, one.velocity)
+    return evaluation(Simulation(scene(*ladder(loops, 0.5 * np.pi - tilt), Method())))
 
 
 def rollouts(scene):
@@ -95,14 +86,12 @@ def rollouts(scene):
 
 
 TASKS = {
-    'evaluation three_rrr': lambda: evaluation('three_rrr'),
-    'evaluation carpet_scraper': lambda: evaluation('carpet_scraper'),
-    'evaluation on_carpet': lambda: evaluation('carpet_scraper_on_carpet'),
+    **{f'evaluation {text}': lambda scene=scene: evaluation(Simulation.from_scene(scene))
+       for text, scene in (('three_rrr', 'three_rrr'), ('carpet_scraper', 'carpet_scraper'),
+                           ('on_carpet', 'carpet_scraper_on_carpet'))},
     'evaluation ladder of 201 joints': large_ladder,
-    'evaluation, 3 joints beside flat': lambda: beside_flat(1, 1e-2),
-    'evaluation, 3 joints nearly flat': lambda: beside_flat(1, 1e-4),
-    'evaluation, 7 joints beside flat': lambda: beside_flat(3, 1e-2),
-    'evaluation, 7 joints nearly flat': lambda: beside_flat(3, 1e-4),
+    **{f'evaluation, {2 * loops + 1} joints {text} flat': partial(beside_flat, loops, tilt)
+       for loops in (1, 3) for text, tilt in (('beside', 1e-2), ('nearly', 1e-4))},
     'Python call three_rrr': lambda: python_call('three_rrr'),
     'RK4 step three_rrr': lambda: steps('three_rrr', integrator='rk4', step_size=1e-3),
     'RK4 step carpet_scraper': lambda: steps('carpet_scraper', integrator='rk4', step_size=1e-3),
@@ -115,11 +104,9 @@ TASKS = {
 def prepared(chosen):
     """Return {task: (function of a number of calls, that number)}, ready to be timed."""
     result = {}
-    for name, build in TASKS.items():
-        if chosen and name not in chosen:
-            continue
+    for name in chosen or TASKS:
         try:
-            function = build()
+            function = TASKS[name]()
             # The first calls generate code, and make what samples of the error are computed with.
             function(50)
         except Exception as error:  # noqa: B902

@@ -4,14 +4,12 @@
 """
 A robot of a file in MJCF under sines on its drives, beside MuJoCo.
 
-All drives get the same torque, amplitude sin(2 pi t / period), held for each millisecond; contacts
+All drives get the same torque, of 1 N m and 1 Hz, held for each millisecond of a second; contacts
 are left out. Prints how far each run comes, its CPU time, how far it opens the loops, and its
 energy error. MuJoCo's is what energies change less the work of drives, springs, dampers, dry
 friction and limits: what its soft loops and its steps add or take.
-
 """
 
-import argparse
 import math
 import os
 from pathlib import Path
@@ -23,34 +21,27 @@ import warnings
 for _name in ('OMP_NUM_THREADS', 'OPENBLAS_NUM_THREADS', 'MKL_NUM_THREADS'):
     os.environ[_name] = '1'
 
-from machine import description, ROOT  # noqa: E402,I100
+from closedloop_dynamics.simulation.errors import SimulationError  # noqa: E402
+from closedloop_dynamics.simulation.scene import load_scene  # noqa: E402
+from closedloop_dynamics.simulation.simulation import Simulation  # noqa: E402
+from closedloop_dynamics.visual.tables import markdown_table, seconds  # noqa: E402
+from machine import description, parser_of  # noqa: E402
 import mujoco  # noqa: E402
 import numpy as np  # noqa: E402
 from peer_mujoco import compiled  # noqa: E402
 
-sys.path.insert(0, str(ROOT))
-
-from closedloop_dynamics.simulation.errors import SimulationError  # noqa: E402,I100
-from closedloop_dynamics.simulation.scene import load_scene  # noqa: E402
-from closedloop_dynamics.simulation.simulation import Simulation  # noqa: E402
-from closedloop_dynamics.visual.tables import markdown_table, seconds  # noqa: E402
-
 HOLD = 1e-3  # [s]
+# Torque of every drive in each interval of a second [N m], and stiffness of limits [N m/rad].
+TORQUES, STOPS = np.sin(2.0 * math.pi * HOLD * np.arange(1000)), 100.0
 
 
-def torques(options):
-    """Return the torque of every drive in each interval [N m]."""
-    times = HOLD * np.arange(round(options.duration / HOLD))
-    return options.torque * np.sin(2.0 * math.pi * times / options.period)
-
-
-def run_ours(options, end_stops, **method):
+def run_ours(file, end_stops, **method):
     """Run a scene of the file; return a row of the table, and why it ended early."""
-    scene = load_scene(options.file, end_stops=end_stops)
+    scene = load_scene(file, end_stops=end_stops)
     simulation = Simulation(scene, method={'step_size': HOLD, **method})
     driven = np.isin(simulation.torque_names, simulation.mechanism.actuated_joints)
     used, opened, why = 0.0, 0.0, ''
-    for torque in torques(options):
+    for torque in TORQUES:
         begin = time.process_time()
         try:
             simulation.advance(torque * driven, 1)
@@ -64,16 +55,16 @@ def run_ours(options, end_stops, **method):
     return (simulation.time, used, opened, balance.residual, balance.work), why
 
 
-def run_mujoco(options, limits):
+def run_mujoco(file, limits):
     """Run the file in MuJoCo; return a row of the table."""
-    model = compiled(options.file)
+    model = compiled(file)
     model.opt.timestep = HOLD
     model.opt.disableflags |= mujoco.mjtDisableBit.mjDSBL_CONTACT
     if not limits:
         model.opt.disableflags |= mujoco.mjtDisableBit.mjDSBL_LIMIT
     data = mujoco.MjData(model)
     begin = time.process_time()
-    for torque in torques(options):
+    for torque in TORQUES:
         data.ctrl[:] = torque
         mujoco.mj_step(model, data)
     used = time.process_time() - begin
@@ -83,7 +74,7 @@ def run_mujoco(options, limits):
     mujoco.mj_resetData(model, data)
     mujoco.mj_forward(model, data)
     start, opened, work, driven = data.energy.sum(), 0.0, 0.0, 0.0
-    for torque in torques(options):
+    for torque in TORQUES:
         data.ctrl[:] = torque
         rates = data.qvel.copy()
         mujoco.mj_step(model, data)
@@ -101,29 +92,20 @@ def run_mujoco(options, limits):
 
 def main(arguments=None):
     """Run the comparison."""
-    parser = argparse.ArgumentParser(description=__doc__)
+    parser = parser_of(__doc__)
     parser.add_argument('file', type=Path, metavar='FILE', help='in MJCF, with motors')
-    parser.add_argument('--torque', type=float, default=1.0, metavar='N m',
-                        help='amplitude (default: %(default)s)')
-    parser.add_argument('--period', type=float, default=1.0, metavar='S',
-                        help='of the sines (default: %(default)s)')
-    parser.add_argument('--duration', type=float, default=1.0, metavar='S',
-                        help='simulated time (default: %(default)s)')
-    parser.add_argument('--end-stops', type=float, default=100.0, metavar='STIFFNESS',
-                        help='of limits, here [N m/rad] (default: %(default)s)')
-    options = parser.parse_args(arguments)
+    file = parser.parse_args(arguments).file
     warnings.simplefilter('ignore')
-    stops = f'end stops of {options.end_stops:g} N m/rad'
-    rows, reasons = [], []
+    stops, rows, reasons = f'end stops of {STOPS:g} N m/rad', [], []
     for name, stiffness, method in (
-            ('auto, without limits', None, {}), (f'auto, {stops}', options.end_stops, {}),
-            (f'rk4, {stops}', options.end_stops, {'integrator': 'rk4'})):
-        row, why = run_ours(options, stiffness, **method)
+            ('auto, without limits', None, {}), (f'auto, {stops}', STOPS, {}),
+            (f'rk4, {stops}', STOPS, {'integrator': 'rk4'})):
+        row, why = run_ours(file, stiffness, **method)
         rows.append((name, row))
         if why:
             reasons.append(f'{name}: {why}')
     for name, limits in (('MuJoCo, without limits', False), ('MuJoCo, its soft limits', True)):
-        rows.append((name, run_mujoco(options, limits)))
+        rows.append((name, run_mujoco(file, limits)))
     print(f'{description()}\n\n' + markdown_table(
         ('run', 'comes to [s]', 'CPU per simulated second', 'loops open by [m, rad]',
          'energy error [J]', 'work of the drives [J]'),

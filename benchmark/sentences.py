@@ -10,14 +10,9 @@ What a sentence recommends is written by hand: read it again where its numbers c
 import csv
 from math import inf, log10
 from statistics import median
-import sys
 from textwrap import fill
 
-from machine import ROOT
-
-sys.path.insert(0, str(ROOT))
-
-from closedloop_dynamics.visual.tables import seconds, share  # noqa: E402,I100
+from closedloop_dynamics.visual.tables import seconds, share
 
 OURS = 'closedloop_dynamics'
 WIDTH = 120

@@ -5,19 +5,14 @@
 
 from dataclasses import dataclass, replace
 import math
-import sys
 
-from machine import ROOT
+from closedloop_dynamics.engine import native
+from closedloop_dynamics.integration.registry import STABILISATIONS
+from closedloop_dynamics.simulation.errors import NumericalError, SimulationError
+from closedloop_dynamics.simulation.simulation import Simulation
+from closedloop_dynamics.studies.accuracy import Line
 import numpy as np
 from scipy import integrate
-
-sys.path.insert(0, str(ROOT))
-
-from closedloop_dynamics.engine import native  # noqa: E402,I100
-from closedloop_dynamics.integration.registry import STABILISATIONS  # noqa: E402
-from closedloop_dynamics.simulation.errors import NumericalError, SimulationError  # noqa: E402
-from closedloop_dynamics.simulation.simulation import Simulation  # noqa: E402
-from closedloop_dynamics.studies.accuracy import Line  # noqa: E402
 
 SOLVERS = {'scipy_dop853': 'DOP853', 'scipy_radau': 'Radau', 'scipy_lsoda': 'LSODA'}
 # A solver that needs more evaluations than this to the next output has lost its way.
