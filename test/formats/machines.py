@@ -99,3 +99,10 @@ def mechanism_text(kind):
     axes = ', axis_a: [0, 1, 0], axis_b: [0, 1, 0]}' if kind == 'revolute' else '}'
     text = MECHANISM.replace('TYPE', kind)
     return text[:text.rindex('}')] + axes + '\n'
+
+
+def written(tmp_path, text, name='robot.urdf'):
+    """Write a file, and return its path."""
+    path = tmp_path / name
+    path.write_text(text)
+    return path

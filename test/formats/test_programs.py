@@ -18,7 +18,7 @@ import numpy as np
 import pytest
 
 from . import test_sdf
-from .machines import four_bar, joint, LINKS, robot, TREE
+from .machines import four_bar, joint, LINKS, robot, TREE, written
 
 TIP = ('<link name="stub"><inertial><mass value="0.01"/><inertia ixx="1e-6" iyy="1e-6" izz="1e-6" '
        'ixy="0" ixz="0" iyz="0"/></inertial></link>')
@@ -63,12 +63,6 @@ TWO_FRAMES = """\
         ('j_side', ('world', 'side'), ('F2', 'side')),
         ('j_long', ('short', 'long'), ('S', 'L1')),
         ('j_loop', ('long', 'side'), ('L2', 'R')))) + '</model></sdf>'
-
-
-def written(tmp_path, text, name='robot.urdf'):
-    path = tmp_path / name
-    path.write_text(text)
-    return path
 
 
 def read(tmp_path, text, name='robot.urdf', **options):

@@ -18,13 +18,8 @@ import numpy as np
 import pytest
 
 from . import machines
-from .machines import four_bar, joint, link, LINKS, LOOPS, MOVING, robot, TIPS, TREE
-
-
-def written(tmp_path, text, name='robot.urdf'):
-    path = tmp_path / name
-    path.write_text(text)
-    return path
+from .machines import (
+    four_bar, joint, link, LINKS, LOOPS, MOVING, robot, TIPS, TREE, written)
 
 
 def read(tmp_path, text, **options):

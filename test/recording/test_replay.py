@@ -261,13 +261,7 @@ def test_without_a_log_stamps_and_efforts_serve():
     assert 'no replay_log' in result.notes[0]
 
 
-def test_a_budget_is_replayed_by_the_accuracies_of_the_log(monkeypatch):
-    def measured(self):
-        simulated, _, _, *work = real(self)
-        return np.array([simulated, *2 * [1e-6 * sum(work)], *work])
-
-    real = Monitor.measured.fget
-    monkeypatch.setattr(Monitor, 'measured', property(measured))
+def test_a_budget_is_replayed_by_the_accuracies_of_the_log(counted, monkeypatch):
     recorder = Recorder(load_scene('three_rrr').with_method({'budget': 2e-3}))
     simulation, found = recorder.simulation, []
     for tick in range(60):
@@ -280,7 +274,7 @@ def test_a_budget_is_replayed_by_the_accuracies_of_the_log(monkeypatch):
         recorder.advance(20, torque)
     assert len(set(found)) > 1
     # A replay measures other times.
-    monkeypatch.setattr(Monitor, 'measured', property(lambda self: real(self) * 7.0))
+    monkeypatch.setattr(Monitor, 'measured', property(lambda self: counted(self) * 7.0))
     result = replay(recorder.recording())
     assert not result.deviation('position').any() and not result.deviation('velocity').any()
     assert not result.notes

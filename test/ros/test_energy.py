@@ -3,6 +3,8 @@
 
 """The energy account of a starved node: what is unexplained is the error of the steps, no more."""
 
+from test.ros.test_control import FakeClock
+
 from closedloop_dynamics import Simulation
 from closedloop_dynamics.ros.simulator_node import SimulatorNode
 import numpy as np
@@ -12,16 +14,6 @@ from std_msgs.msg import Float64MultiArray
 
 # Gaps between ticks of 2 ms that a starved process sees, and how often [s].
 GAPS, SHARES = (0.002, 0.004, 0.02, 0.06, 0.4), (0.7, 0.15, 0.1, 0.04, 0.01)
-
-
-class FakeClock:
-    """A steady clock that moves when told."""
-
-    def __init__(self):
-        self.now = 50.0
-
-    def __call__(self):
-        return self.now
 
 
 def drive_starved(node, rng, duration):

@@ -5,7 +5,7 @@
 
 import math
 from pathlib import Path
-from test.ros.test_control import FakeClock
+from test.ros.test_control import advance, FakeClock
 
 from closedloop_dynamics import Simulation
 from closedloop_dynamics.mechanism import validation
@@ -41,12 +41,6 @@ def node(make_node, monkeypatch):
     monkeypatch.setattr(node.states, 'publish', note)
     monkeypatch.setattr(node, 'warn', lambda throttle, text: node.warnings.append(text))
     return node
-
-
-def advance(node, duration, ticks=1):
-    for _ in range(ticks):
-        node.clock.now += duration / ticks
-        node.tick()
 
 
 def test_tick_gives_the_same_motion_as_the_library(node):

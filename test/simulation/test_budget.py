@@ -10,7 +10,6 @@ from closedloop_dynamics import load_scene, Model, rollout, Simulation, State
 from closedloop_dynamics.mechanism.fields import FieldError
 from closedloop_dynamics.simulation.budget import (
     allowed, Budget, COARSEST, FINEST, INTERVAL, MOST_DECADES, PERIOD)
-from closedloop_dynamics.simulation.monitor import Monitor
 from closedloop_dynamics.simulation.scene_records import Method
 from closedloop_dynamics.sweep import sweep
 import numpy as np
@@ -138,21 +137,6 @@ def test_what_a_budget_allows_follows_from_two_costs():
     # A cost that does not depend on the accuracy, as of held torques, or noise around it.
     assert allowed(0.2, [(1e-6, 0.1), (1e-9, 0.099)]) == FINEST
     assert allowed(0.05, [(1e-6, 0.1), (1e-9, 0.099)]) is None
-
-
-# Simulations: an evaluation takes a microsecond.
-
-
-@pytest.fixture
-def counted(monkeypatch):
-    """Measure evaluations of a run and its companion in the place of time."""
-    real = Monitor.measured.fget
-
-    def measured(self):
-        simulated, _, _, *work = real(self)
-        return np.array([simulated, *2 * [1e-6 * sum(work)], *work])
-
-    monkeypatch.setattr(Monitor, 'measured', property(measured))
 
 
 def runs_of(budget, accuracy=1e-6, scene='three_rrr'):

@@ -3,7 +3,6 @@
 
 """Linear models, equilibria and modes: differences of runs, and answers that are known."""
 
-from dataclasses import replace
 import math
 
 from closedloop_dynamics.cli import main
@@ -21,15 +20,9 @@ import numpy as np
 import pytest
 from scipy.linalg import logm
 
-from .test_derivatives import PARALLELOGRAM, PARALLELOGRAM_SCENE
+from .test_derivatives import PARALLELOGRAM, PARALLELOGRAM_SCENE, simulation_of
 
 ACCURATE = {'integrator': 'dop853', 'tolerance': 1e-12, 'step_size': 1e-3}
-
-
-def simulation_of(scene, effects=(), **method):
-    scene = load_scene(scene)
-    scene = replace(scene, effects={**scene.effects, **dict(effects)})
-    return Simulation.from_scene(scene, **method)
 
 
 def parallelogram(folder, effects=(), points='', **method):
