@@ -38,7 +38,7 @@ constexpr double SETTLED = 1e-10, CERTAIN = 0.01;
 // 10.
 constexpr double NEAR = 2e-3, SQUARED = 3.0;
 // Smallest pivots of equations that are evaluated at the state only, beside singular ones; and of
-// those that are no rounding there.
+// those that are not rounding there.
 constexpr double REGULAR = 0.02, CHOSEN = 1e-8;
 // Equations whose factors cost less than to ask the elimination of the geometry first.
 constexpr Index FEW_EQUATIONS = 8;

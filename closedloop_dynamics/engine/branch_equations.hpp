@@ -11,7 +11,7 @@
 #include "data.hpp"
 
 // The closure equations at places on a branch of positions, solved for the coordinates that they
-// decide best.
+// determine best.
 
 namespace closedloop
 {
@@ -47,7 +47,7 @@ public:
   /// Scale the equations as they are at the latest place, and group them; false where an equation
   /// has no coordinate.
   bool find_components();
-  /// Choose the coordinates that the equations decide best at the latest place; return their
+  /// Choose the coordinates that the equations determine best at the latest place; return their
   /// smallest pivot against the largest, 0 where it is less than a share.
   double choose(Component &, double share);
   /// Whether the rates of each quaternion are all dependent, or all independent.

@@ -210,7 +210,7 @@ private:
     }
   }
 
-  /// Largest of the decided coordinates, as lengths.
+  /// Largest of the kinematically determined coordinates, as lengths.
   double most(const Component & part, Values values) const
   {
     double found = 0.0;

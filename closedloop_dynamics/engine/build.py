@@ -107,7 +107,7 @@ def zig(*target, language='c++'):
 
 def python_library(folder):
     """
-    Return the library that tells the linker of Windows what python3.dll has.
+    Return the library by which the linker of Windows knows what python3.dll has.
 
     As much as ``python_api.hpp`` declares: no Python for Windows is needed.
     """
@@ -213,18 +213,18 @@ def build(output, folder, sanitize=False, target=None):
     if is_for('macos', target):
         # Eigen's is the C++ type long there, another one than that of 64 bits.
         flags.append('-DEIGEN_DEFAULT_DENSE_INDEX_TYPE=long long')
-    told = [f'-DENGINE_SOURCES="{digest()}"', f'-DENGINE_FLAGS="{shlex.join(flags)}"']
+    about = [f'-DENGINE_SOURCES="{digest()}"', f'-DENGINE_FLAGS="{shlex.join(flags)}"']
     command = [*program, *flags, '-isystem', str(eigen())]
     folder.mkdir(parents=True, exist_ok=True)
     with ThreadPoolExecutor(os.cpu_count()) as pool:
         compiled = list(pool.map(
             lambda source: compile_source(
-                source, command + (told if source.stem == 'build_info' else []), folder),
+                source, command + (about if source.stem == 'build_info' else []), folder),
             sorted(sources(), key=lambda source: source.stem not in SLOW)))
     output.parent.mkdir(parents=True, exist_ok=True)
     with tempfile.TemporaryDirectory(dir=output.parent) as near:
         # The functions of Python are found in the program that loads the module; Windows wants to
-        # be told in which library.
+        # know in which library.
         run([*program, *flags, '-shared', *compiled,
              *(['-undefined', 'dynamic_lookup'] if is_for('macos', target) else []),
              *([python_library(folder)] if is_for('windows', target) else []),

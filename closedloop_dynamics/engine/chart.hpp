@@ -45,7 +45,7 @@ void place_change(const System &, const Chart &, Values q, Index joint, double s
 
 /// Changes of all displacements and rates that keep the loops closed, with those of the independent
 /// ones and with parameters, shape (2 nv, 2 k + np). SINGULAR where the independent coordinates do
-/// not decide all others.
+/// not determine all others.
 Status fill_basis(
   const System &, const LaneRoutines &, const Chart &, Values q, Values qd, Table basis);
 

@@ -47,7 +47,7 @@ void whiten(Table factors, Index first, Index end, Table rows)
   }
 }
 
-/// Leave out a number: its error is 1, and tells of nothing.
+/// Leave out a number: its error is 1, and shows in nothing else.
 void leave_out(Index number, Table factors, std::initializer_list<Table> all)
 {
   for (Index other = 0; other < factors.rows; ++other) {

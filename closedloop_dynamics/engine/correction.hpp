@@ -6,7 +6,7 @@
 
 #include "array.hpp"
 
-// The update of a Kalman filter: n errors, of which readings tell.
+// The update of a Kalman filter: n errors, which readings show.
 
 namespace closedloop
 {

@@ -60,7 +60,7 @@ void mark_coordinates(const System &, EnergyAccount &, Values state);
 
 /// Add the work of the torques held up to a state, shape (ns,). Of a torque that passes unchanged
 /// it is tau . (q - q at the hold's start), exactly; drives integrate theirs, and so do torques on
-/// spherical joints, whose work is no function of coordinates.
+/// spherical joints, whose work is not a function of coordinates.
 void add_held_work(const System &, EnergyAccount &, Values state);
 
 /// The balance of a state whose energies are known [J], with the work that was added last.

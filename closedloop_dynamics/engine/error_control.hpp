@@ -179,7 +179,7 @@ private:
   OwnedTable scale_, scratch_;
 };
 
-/// What the control record of a method with a tolerance tells.
+/// The report of a method with a tolerance, from its control record.
 StepReport report_of(const StepControl &, double tolerance);
 
 }  // namespace closedloop

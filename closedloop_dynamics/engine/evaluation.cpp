@@ -252,7 +252,7 @@ bool accelerate_with_friction(
 }
 
 /// Balance friction at rest by the responses that an earlier evaluation has kept. They change little
-/// from state to state: the accelerations with the friction that they tell correct those without,
+/// from state to state: the accelerations with the friction that they give correct those without,
 /// and each round leaves a small share of what the one before missed. False where that is not so.
 bool balance_by_kept(const System & system, Values q, Values qd, Factors factors)
 {

@@ -11,7 +11,7 @@ namespace closedloop
 
 /// Inverse dynamics: torques of the actuated joints, then the multipliers of all equations, of
 /// which the first `loops` are loop closures. Joints are given by their places among the rates;
-/// `own`: the effects' own states. False, with results undefined, where arguments are no arrays of
+/// `own`: the effects' own states. False, with results undefined, where arguments are not arrays of
 /// finite numbers of the right lengths, the motion opens the loops or cannot be produced, or
 /// effects act in cut joints.
 bool find_torques(

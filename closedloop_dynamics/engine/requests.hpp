@@ -30,15 +30,14 @@ struct Request
 };
 
 /// Whether a state that was evaluated closes the loops, in its rates, too, as far as a step has to.
-/// Of equations that are left out accelerations tell: they do not fulfil these where loops are open.
+/// Accelerations show it of equations that are left out: they do not fulfil these in open loops.
 bool closes_loops(const System &, Values qd);
 
 /// Copy a given array, if it has as many numbers.
 bool take(const OptionalVector &, Values to);
 
 /// Copy the torques of actuated joints, zero if absent, to their places in System.tau, -1 for a
-/// joint without torque; false where they are no array of as many finite numbers, or such a joint
-/// has one.
+/// joint without torque; false where they are not as many finite numbers, or such a joint has one.
 bool spread_torques(Indices actuated, Values tau, const OptionalVector &);
 
 /// How a given array compares with numbers: the same, others of at most a size, or neither.
@@ -51,7 +50,7 @@ double sum_of_sizes(Values);
 /// Whether coordinates are finite, quaternions among them of norm 1 but for rounding.
 bool is_position(const Manifold &, Values q);
 
-/// Evaluate coordinates, rates and torques, zero if absent; false where they are no arrays of
+/// Evaluate coordinates, rates and torques, zero if absent; false where they are not arrays of
 /// finite numbers of these lengths, quaternions of norm 1, or where the equations that the
 /// elimination works on do not suffice: the results are undefined then.
 bool evaluate_given(
@@ -59,7 +58,7 @@ bool evaluate_given(
   const OptionalVector & torque);
 
 /// Evaluate the state and the torques of a request; `whole` works on all equations, and is used
-/// where those of `system` do not suffice. False where the numbers are no state.
+/// where those of `system` do not suffice. False where the numbers are not a state.
 bool evaluate_request(const System & system, const System & whole, const Request &);
 
 /// Multipliers of all equations in an evaluated state, where the elimination omits some: the least

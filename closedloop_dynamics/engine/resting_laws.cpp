@@ -29,7 +29,7 @@ void apply_friction(
   apply_generated(table, row, body, q, qd, tau);
   const Index state = table.first_state[row];
   const double rate = along(table, row, qd);
-  // Where loops and motions hold the joint, any friction would do: no response decides it.
+  // Where loops and motions hold the joint, any friction would do: no response determines it.
   if (std::fabs(table.states[state]) < 0.5 && std::fabs(rate) <= REST &&
     table.values(row, 4) == 0.0)
   {

@@ -58,7 +58,7 @@ double fastest_rate(Table matrix, Values direction, Values once, Values twice)
     length += each * each;
   }
   for (Index i = 0; i < n; ++i) {
-    // Any direction that is no eigenvector to begin with.
+    // Any direction that is not an eigenvector to begin with.
     direction[i] = length > 0.0 ?
       direction[i] / std::sqrt(length) : std::cos(static_cast<double>(i * i) + 1.0);
   }

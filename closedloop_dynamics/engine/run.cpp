@@ -618,7 +618,7 @@ Outcome Run::estimate_error(const System & system, Values state)
   return Outcome::DONE;
 }
 
-/// Make steps until all are made, or something is to be done or told.
+/// Make steps until all are made, or something is to be done or reported.
 Outcome Run::make_until_outcome(const System & system, Values state)
 {
   while (true) {

@@ -176,7 +176,7 @@ public:
   /// Whether it is one of this system.
   bool fits(const System &) const;
 
-  /// What its method is told: `Stepper`.
+  /// Passed on to its method: `Stepper`.
   void restart(const System & system, bool moved) {stepper_->restart(system, moved);}
   void rewind(const System &);
   void aim(double accuracy) {stepper_->aim(accuracy);}
@@ -201,11 +201,11 @@ public:
   std::pair<double, Index> base() {return {time_base_, steps_};}
   void set_time(double base, Index steps);
   RunReport report();
-  /// Count cost from here on; estimate the error of fixed steps, unless told otherwise.
+  /// Count cost from here on; estimate the error of fixed steps, unless asked not to.
   void clear_cost();
   void sample(bool wanted);
 
-  /// Apply torques and make steps. Python checks torques that are no finite numbers, or unusual ones.
+  /// Apply torques and make steps. Python checks torques that are not finite, or unusual.
   Outcome advance(const System &, Values state, const OptionalVector & tau, Index steps);
   /// Make steps of a size [s]; `call`: the length of the call that they are part of.
   Outcome make(const System &, Values state, double size, Index steps, Index call);
