@@ -204,6 +204,7 @@ void Run::set_time(double base, Index steps)
 {
   time_base_ = base;
   steps_ = steps;
+  advanced_ = 0.0;
 }
 
 RunReport Run::report()
@@ -522,6 +523,7 @@ void Run::book(const System & system, Index steps)
 /// Make steps, or go on with those that failed, or find out why not.
 Outcome Run::make_portion(const System & system, Values state, Index steps)
 {
+  advanced_ = 0.0;
   const bool whole = report_.size == limits_.step_size;
   const Grid grid{whole ? time_base_ : time(), whole ? steps_ : 0, report_.size, steps};
   const double worked = limits_.timed ? thread_time() : 0.0;
@@ -542,23 +544,23 @@ Outcome Run::make_portion(const System & system, Values state, Index steps)
     // Steps that count as not made.
     copy(view(before_), state);
     stepper_->restart(system, true);
+    handed_ = 0;
+    return Outcome::FAILED;
   }
-  advanced_ = status == Status::INTERRUPTED ? 0.0 : advanced;
-  handed_ = status == Status::INTERRUPTED ? 0 : steps;
+  advanced_ = advanced;
+  handed_ = steps;
   return choose_or_end(system);
 }
 
 /// After a step that failed: ask for other closure equations, where these may be why.
 Outcome Run::choose_or_end(const System & system)
 {
-  const double reached = time() + advanced_;
-  if (reached > reached_ + LEAST_PROGRESS * report_.size) {
-    reached_ = reached;
+  if (time() > reached_ + LEAST_PROGRESS * report_.size) {
+    reached_ = time();
     exchanges_ = 0;
   }
-  const Status status = report_.status;
   if (system.whole.empty() || stepper_->stabilisation() < Stabilisation::PROJECTION ||
-    status == Status::CONTACT_PASSED || status == Status::INTERRUPTED)
+    report_.status == Status::CONTACT_PASSED)
   {
     return give_up();
   }
@@ -567,7 +569,7 @@ Outcome Run::choose_or_end(const System & system)
     return give_up();
   }
   const Values & numbers = system.whole.numbers;
-  const bool poor = status == Status::POOR_EQUATIONS;
+  const bool poor = report_.status == Status::POOR_EQUATIONS;
   report_.nearby = !poor || numbers[left_out::OPENED] == 1.0;
   report_.or_these = poor && numbers[left_out::LENIENT] == 0.0;
   numbers[left_out::ASKED] = 1.0;
@@ -578,7 +580,8 @@ Outcome Run::choose_or_end(const System & system)
 Outcome Run::give_up()
 {
   report_.simulated += advanced_;
-  report_.steps += std::nearbyint(advanced_ / report_.size);
+  // There is no size before the first call.
+  report_.steps += advanced_ > 0.0 ? std::nearbyint(advanced_ / report_.size) : 0.0;
   time_base_ += advanced_;
   advanced_ = 0.0;
   handed_ = 0;
@@ -675,8 +678,8 @@ void Run::command(const System & system, Values state, Vector<const double> torq
 
 void Run::begin_call(double size, Index steps, Index call)
 {
+  give_up();
   due_ = 0;
-  handed_ = 0;
   reached_ = -std::numeric_limits<double>::infinity();
   left_ = std::max<Index>(steps, 0);
   call_ = call;
@@ -716,11 +719,10 @@ Outcome Run::resume(const System & system, Values state, bool goes_on)
     if (!system.whole.empty() && numbers[left_out::ASKED] == 1.0) {
       // Again from the same state, a part of the step was well, and the rest is not: if that ended it,
       // the step would be repeated for ever.
-      const double here = time() + advanced_;
       numbers[left_out::LENIENT] = 1.0;
-      numbers[left_out::STAYS_LENIENT] = here == lenient_since_ ? 1.0 : 0.0;
+      numbers[left_out::STAYS_LENIENT] = time() == lenient_since_ ? 1.0 : 0.0;
       numbers[left_out::ASKED] = 0.0;
-      lenient_since_ = here;
+      lenient_since_ = time();
     }
     stepper_->go_on();
     const Outcome found = make_portion(system, state, handed_);

@@ -196,9 +196,12 @@ public:
   /// Begin at a state as a copy of a run, which has none of the guards' findings.
   void begin_copy(const System &, Values state);
 
-  double time() {return time_base_ + static_cast<double>(steps_) * limits_.step_size;}
+  double time()
+  {
+    return time_base_ + static_cast<double>(steps_) * limits_.step_size + advanced_;
+  }
   /// The time is so many steps after another one [s].
-  std::pair<double, Index> base() {return {time_base_, steps_};}
+  std::pair<double, Index> base() {return {time_base_ + advanced_, steps_};}
   void set_time(double base, Index steps);
   RunReport report();
   /// Count cost from here on; estimate the error of fixed steps, unless asked not to.

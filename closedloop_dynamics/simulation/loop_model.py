@@ -280,20 +280,23 @@ class LoopModel:
             return None
         return self.select(kept)
 
-    def next_choice(self, q, wanted, better):
+    def choose_for_run(self, q, wanted, better):
         """
-        Return the model to go on with after a step that failed; None where there is none.
+        Choose the equations on which a run goes on; return whether it may.
 
-        ``wanted``: as the engine's run reports it, ``nearby`` as for ``reselected``, and
-        ``or_these``: whether the present equations may be kept; ``better`` is as for that, too.
+        Some are left out where none are; else others are chosen after a step that failed.
+        ``wanted``: as the run reports it, ``nearby`` as for ``reselected``, and ``or_these``:
+        whether the present equations may be kept; ``better`` is as for that, too.
         """
-        found = self.reselected(q, better, wanted.nearby)
-        if found is None and wanted.or_these and not (wanted.nearby and not self.is_valid(q)):
-            return self.model
-        if found is None and wanted.nearby and self.contradiction(q):
-            return None
-        # An equation left out may be the one that closes the loop.
-        return found or self.select(None)
+        if not self.has_redundant_constraints:
+            self.choose(q)
+        elif self.reselected(q, better, wanted.nearby) is None and not (
+                wanted.or_these and (not wanted.nearby or self.is_valid(q))):
+            if wanted.nearby and self.contradiction(q):
+                return False
+            # An equation left out may be the one that closes the loop.
+            self.select(None)
+        return True
 
     def contradiction(self, q):
         """Return which loops contradict one another near a position, as ``Assembler`` has it."""

@@ -283,11 +283,7 @@ class Stepping:
     def _go_on(self, outcome: int) -> None:
         """Warn of, or raise, the outcome of a run, or choose equations for it; let it go on."""
         while outcome:
-            goes_on = False
-            try:
-                goes_on = self._tell(outcome)
-            finally:
-                outcome = self.run.resume_run(goes_on)
+            outcome = self.run.resume_run(self._tell(outcome))
 
     def _tell(self, outcome: int) -> bool:
         """
@@ -446,19 +442,15 @@ class Stepping:
         """
         Choose the equations that the elimination works on again, where a run asks for that.
 
-        Those that repeat others are left out, where all were taken; others are taken after a step
-        that failed, as ``LoopModel.next_choice`` has them. Returns whether to go on.
+        ``wanted``: as of ``LoopModel.choose_for_run``. Returns whether the run is to go on.
         """
-        data, chosen = self.data, self.data.loop_model
-        present = chosen.equations.kept
-        if data.has_redundant_constraints:
-            cheap = wanted.nearby or data.exchange_is_cheap
-            model = chosen.next_choice(self._q, wanted, BETTER if cheap else WORTH_LOOPS)
-        else:
-            model = chosen.choose(self._q)
-        if model is not None and not np.array_equal(chosen.equations.kept, present):
-            data.use_equations(model)
-        return model is not None
+        data = self.data
+        chosen: Any = data.loop_model
+        present, cheap = chosen.equations.kept, wanted.nearby or data.exchange_is_cheap
+        goes_on = chosen.choose_for_run(self._q, wanted, BETTER if cheap else WORTH_LOOPS)
+        if not np.array_equal(chosen.equations.kept, present):
+            data.use_equations(chosen.model)
+        return goes_on
 
     @property
     def fastest_rate(self) -> float:
