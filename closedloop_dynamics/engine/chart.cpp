@@ -71,15 +71,6 @@ bool factor_closures(
   return factorize(chart.factors, chart.pivots) > LEAST_PIVOT;
 }
 
-/// Subtract changes of closure errors, of level 1 those of their rates, from the right-hand side.
-void subtract(const Chart & chart, double share, Index row, Index level)
-{
-  const double * from = chart.closure.row(row) + level * chart.right.size;
-  for (Index k = 0; share != 0.0 && k < chart.right.size; ++k) {
-    chart.right[k] -= share * from[k];
-  }
-}
-
 /// Complete the columns of a basis of displacements and parameters: displacements (level 0) and
 /// changes of rates (level 1) that follow from the former, and from independent ones.
 void complete(const Chart & chart, Table basis, Index level)
@@ -128,9 +119,10 @@ Status close(
       return Status::SINGULAR;
     }
     if (error <= tolerance) {
-      chart.right.fill(0.0);
+      auto right = dense(chart.right);
+      right.setZero();
       for (Index place : chart.independent) {
-        subtract(chart, qd[place], place, 0);
+        right -= qd[place] * dense(chart.closure).row(place).head(right.size()).transpose();
       }
       solve(chart.factors, chart.pivots, chart.right);
       for (Index k = 0; k < chart.right.size; ++k) {
