@@ -10,7 +10,9 @@
 
 // States by independent coordinates and rates: the others follow from the loops. Of k independent
 // coordinates, changes are k displacements, then k changes of rates; those of orientations are
-// rotations about the axes of the child.
+// rotations about the axes of the child. Filters and optimisers ask for thousands of states; so they
+// are found without allocation and by the generated derivatives that a basis needs anyway, which
+// loop_solver.hpp does without.
 
 namespace closedloop
 {

@@ -12,17 +12,15 @@
 
 #include "interrupt.hpp"
 #include "loop_closure.hpp"
+#include "loop_solver.hpp"
 #include "manifold.hpp"
-#include "recursion.hpp"
 
 namespace closedloop
 {
 
 namespace
 {
-using RowMatrix = Eigen::Matrix<double, Eigen::Dynamic, Eigen::Dynamic, Eigen::RowMajor>;
-using DenseMatrix = Eigen::MatrixXd;
-using DenseVector = Eigen::VectorXd;
+using Square = Eigen::MatrixXd;
 
 // Between two positions the Jacobian changes by less than this share of itself, measured by its
 // inverse: where the share is less than 1 it is regular on all the way, no other branch is met,
@@ -37,39 +35,36 @@ constexpr double SHORTEST = 1e-13;
 // The same between neighbours of a grid, of which another one may lead on.
 constexpr double SHORTEST_TO_NEIGHBOUR = 1e-6, SHORTEST_ACROSS = 1e-2;
 
-/// One position of a branch, and the predictor of the next.
+/// One position of a branch, and the predictor of the next. Residuals and Jacobians are the loop
+/// solver's; corrections are by factors of its own, as their inverse tells, too, whether the branch is
+/// still the same.
 class Follower
 {
 public:
   Follower(
     const Model & model, const Workspace & work, const Manifold & manifold, Indices drives,
     Indices kept, Values unit, Table anchors, double open)
-  : model_(model), work_(work), manifold_(manifold), drives_(drives), kept_(kept), unit_(unit),
-    open_(open), column_(model.cut_point.columns - cut::MOTION_COLUMNS),
-    jac_(model.equations(), unit.size), matrix_(unit.size, unit.size),
-    inverse_(unit.size, unit.size), next_(unit.size, unit.size), change_(unit.size),
-    right_(unit.size), closure_(model.equations()), still_(DenseVector::Zero(unit.size)),
-    lu_(unit.size)
+  : model_(model), work_(work), manifold_(manifold), drives_(drives), kept_(kept),
+    unit_(dense(unit)), open_(open), column_(model.cut_point.columns - cut::MOTION_COLUMNS),
+    solver_(model, work, manifold, Loops{{}, kept, {}}), still_(DenseVector::Zero(unit.size)), matrix_(unit.size, unit.size),
+    right_(DenseVector::Zero(unit.size)), lu_(unit.size)
   {
-    matrix_.bottomRows(anchors.rows) =
-      Eigen::Map<RowMatrix>(anchors.data, anchors.rows, anchors.columns);
+    matrix_.bottomRows(anchors.rows) = dense(anchors);
   }
 
   /// Start from a position that closes the loops; false where it is singular.
-  bool begin(Values q)
+  bool begin(const DenseVector & q)
   {
-    outward(model_, q, view(still_), work_);
-    fill_matrix();
+    fill_matrix(solver_.slopes_at(q));
     return invert();
   }
 
   /// Move from the driven values `from` on to `to`; false, and `q` of no meaning, where that is
   /// too far.
-  bool step(const DenseVector & from, const DenseVector & to, Values q)
+  bool step(const DenseVector & from, const DenseVector & to, DenseVector & q)
   {
     drive(to);
     // The tangent, then corrections by the Jacobian there.
-    right_.setZero();
     for (Index row = 0; row < kept_.size; ++row) {
       const Index number = kept_[row] - first_drive();
       right_[row] = number >= 0 ? to[number] - from[number] : 0.0;
@@ -78,34 +73,26 @@ public:
     if (!move_by_change(q)) {
       return false;
     }
-    outward(model_, q, view(still_), work_);
-    fill_matrix();
+    fill_matrix(solver_.slopes_at(q));
     lu_.compute(matrix_);
     return converge(q) && is_on_branch();
   }
 
   /// Rates and accelerations in the current position, into rows.
-  void complete(Table values, Values q, Values velocity, Values acceleration)
+  void complete(Table values, const DenseVector & q, Values velocity, Values acceleration)
   {
+    dense(velocity).setZero();
+    dense(acceleration).setZero();
     bool rests = true;
     for (Index k = 0; k < drives_.size; ++k) {
       rests = rests && values(k, 1) == 0.0 && values(k, 2) == 0.0;
-    }
-    if (rests) {
-      std::fill(velocity.begin(), velocity.end(), 0.0);
-      std::fill(acceleration.begin(), acceleration.end(), 0.0);
-      return;
-    }
-    for (Index k = 0; k < drives_.size; ++k) {
       model_.cut_point(drives_[k], column_ + 1) = values(k, 1);
       model_.cut_point(drives_[k], column_ + 2) = values(k, 2);
     }
-    outward(model_, q, view(still_), work_);
-    update(model_, work_, Responses::NONE);
-    solve(work_.closure_rate, velocity);
-    outward(model_, q, velocity, work_);
-    update(model_, work_, Responses::NONE);
-    solve(work_.bias, acceleration);
+    if (!rests) {
+      solve(solver_.changes_at(q, still_, Level::VELOCITY), velocity);
+      solve(solver_.changes_at(q, dense(velocity), Level::ACCELERATION), acceleration);
+    }
   }
 
   /// Set driven values, at rest.
@@ -122,7 +109,7 @@ public:
   /// first; returned is the share of the way at which the branch, or patience, ends; 1 where it
   /// does not.
   double advance(
-    const DenseVector & from, const DenseVector & to, Values q, Values trial, double & share,
+    const DenseVector & from, const DenseVector & to, DenseVector & q, double & share,
     double shortest, Interrupt * interrupt = nullptr)
   {
     way_ = to - from;
@@ -130,14 +117,14 @@ public:
     double done = 0.0;
     while (done < 1.0) {
       // A step takes some corrections, each by the factors of a matrix.
-      if (interrupt != nullptr && interrupt->after(3 * unit_.size)) {
+      if (interrupt != nullptr && interrupt->after(3 * unit_.size())) {
         break;
       }
       const double ahead = std::min(1.0, done + share);
       aim_ = from + ahead * way_;
-      copy(q, trial);
-      if (step(reached_, aim_, trial)) {
-        copy(trial, q);
+      trial_ = q;
+      if (step(reached_, aim_, trial_)) {
+        q = trial_;
         reached_ = aim_;
         done = ahead;
         share = std::min(1.0, 2.0 * share);
@@ -175,19 +162,13 @@ public:
   }
 
 private:
-  static Values view(DenseVector & from) {return {from.data(), from.size()};}
-
   /// The driving equations are the last ones.
   Index first_drive() const {return model_.equations() - drives_.size;}
 
-  void fill_matrix()
+  void fill_matrix(const DenseMatrix & slopes)
   {
-    constraint_jacobian(model_, work_, {jac_.data(), jac_.rows(), jac_.cols()});
-    for (Index row = 0; row < kept_.size; ++row) {
-      for (Index k = 0; k < unit_.size; ++k) {
-        matrix_(row, k) = jac_(kept_[row], k) * unit_[k];
-      }
-    }
+    matrix_.topRows(kept_.size).noalias() = slopes * unit_.asDiagonal();
+    right_.head(kept_.size) = solver_.residuals();
   }
 
   bool invert()
@@ -201,7 +182,7 @@ private:
   /// Whether the position is on the branch of the last one; makes it the current one if so.
   bool is_on_branch()
   {
-    fill_matrix();
+    fill_matrix(solver_.slopes());
     // A bound of the change, where that is enough, and the change.
     if (!(inverse_.norm() * (matrix_ - inverted_).norm() < SAME_BRANCH)) {
       next_.noalias() = inverse_ * matrix_;
@@ -213,24 +194,20 @@ private:
     return invert();
   }
 
-  bool move_by_change(Values q)
+  bool move_by_change(DenseVector & q)
   {
     if (!(change_.cwiseAbs().maxCoeff() < LONGEST)) {
       return false;
     }
-    for (Index k = 0; k < unit_.size; ++k) {
-      change_[k] *= unit_[k];
-    }
-    move(manifold_, q, view(change_), 1.0);
+    change_.array() *= unit_.array();
+    move(manifold_, view(q), view(change_), 1.0);
     return true;
   }
 
-  bool converge(Values q)
+  bool converge(DenseVector & q)
   {
     double last = std::numeric_limits<double>::infinity();
     for (int n = 0; n < MOST_CORRECTIONS; ++n) {
-      update(model_, work_, Responses::NONE);
-      collect(work_.closure);
       change_ = lu_.solve(-right_);
       const double size = change_.cwiseAbs().maxCoeff();
       const bool stalled = size > 0.5 * last;
@@ -240,43 +217,31 @@ private:
       if (stalled || size <= ROUNDING) {
         return (size <= ROUNDING || size < STALLED) && largest(work_.closure) <= open_;
       }
-      outward(model_, q, view(still_), work_);
+      right_.head(kept_.size) = solver_.residuals_at(q);
       last = size;
     }
     return false;
   }
 
-  /// The numbers of the kept equations among those of all, in elimination order, into `right_`.
-  void collect(Values ordered)
+  /// Displacements that remove errors of the kept equations.
+  void solve(const DenseVector & errors, Values out)
   {
-    to_user_order(model_, ordered, view(closure_));
-    right_.setZero();
-    for (Index row = 0; row < kept_.size; ++row) {
-      right_[row] = closure_[kept_[row]];
-    }
-  }
-
-  /// Displacements that remove the errors of the kept equations.
-  void solve(Values ordered, Values out)
-  {
-    collect(ordered);
-    change_.noalias() = inverse_ * right_;
-    for (Index k = 0; k < unit_.size; ++k) {
-      out[k] = -unit_[k] * change_[k];
-    }
+    change_.noalias() = inverse_.leftCols(kept_.size) * errors;
+    dense(out) = -unit_.cwiseProduct(change_);
   }
 
   const Model & model_;
   const Workspace & work_;
   const Manifold & manifold_;
   Indices drives_, kept_;
-  Values unit_;
+  DenseVector unit_;
   double open_;
   Index column_;
-  RowMatrix jac_;
-  DenseMatrix matrix_, inverse_, inverted_, next_, kept_inverse_, kept_inverted_;
-  DenseVector change_, right_, closure_, still_, way_, reached_, aim_;
-  Eigen::PartialPivLU<DenseMatrix> lu_;
+  LoopSolver solver_;
+  DenseVector still_;
+  Square matrix_, inverse_, inverted_, next_, kept_inverse_, kept_inverted_;
+  DenseVector change_, right_, way_, reached_, aim_, trial_;
+  Eigen::PartialPivLU<Square> lu_;
 };
 }  // namespace
 
@@ -287,11 +252,9 @@ std::pair<double, double> follow_drives(
 {
   Interrupt interrupt(interrupted, unit.size);
   Follower follower(model, work, manifold, drives, kept, unit, anchors, open);
-  DenseVector from = Eigen::Map<DenseVector>(begin.data, begin.size), to(begin.size);
-  DenseVector tried(q.size);
-  const Values trial{tried.data(), tried.size()};
+  DenseVector from = dense(begin), to(begin.size), here = dense(q);
   follower.drive(from);
-  if (!follower.begin(q)) {
+  if (!follower.begin(here)) {
     return {0.0, 0.0};
   }
   double share = 1.0;
@@ -299,13 +262,14 @@ std::pair<double, double> follow_drives(
     for (Index n = 0; n < begin.size; ++n) {
       to[n] = values[k](n, 0);
     }
-    const double done = follower.advance(from, to, q, trial, share, SHORTEST, &interrupt);
+    const double done = follower.advance(from, to, here, share, SHORTEST, &interrupt);
+    dense(q) = here;
     if (done < 1.0) {
       return {static_cast<double>(k), done};
     }
     from = to;
     copy(q, position[k]);
-    follower.complete(values[k], q, velocity[k], acceleration[k]);
+    follower.complete(values[k], here, velocity[k], acceleration[k]);
   }
   return {static_cast<double>(values.pages), 0.0};
 }
@@ -327,9 +291,7 @@ Index reach_poses(
   for (Index axis = 0; axis < axes; ++axis) {
     sides *= 3;
   }
-  DenseVector from(values.columns), to(values.columns), start(position.columns);
-  DenseVector tried(position.columns);
-  const Values here{start.data(), start.size()}, trial{tried.data(), tried.size()};
+  DenseVector from, to, here;
   Index count = 0;
   for (std::size_t next = 0; next < waiting.size(); ++next) {
     const Index cell = waiting[next];
@@ -351,9 +313,9 @@ Index reach_poses(
       if (!inside || reached[neighbour] != 0) {
         continue;
       }
-      from = Eigen::Map<DenseVector>(values.row(cell), values.columns);
-      to = Eigen::Map<DenseVector>(values.row(neighbour), values.columns);
-      copy(position[cell], here);
+      from = dense(values[cell]);
+      to = dense(values[neighbour]);
+      here = dense(position[cell]);
       if (!begun) {
         follower.drive(from);
         if (!follower.begin(here)) {
@@ -365,10 +327,10 @@ Index reach_poses(
       follower.restore();
       double share = 1.0;
       const double shortest = steps == 1 ? SHORTEST_TO_NEIGHBOUR : SHORTEST_ACROSS;
-      if (follower.advance(from, to, here, trial, share, shortest) < 1.0) {
+      if (follower.advance(from, to, here, share, shortest) < 1.0) {
         continue;
       }
-      copy(here, position[neighbour]);
+      dense(position[neighbour]) = here;
       follower.rates_of(actuated, rates[neighbour]);
       reached[neighbour] = 1;
       waiting.push_back(neighbour);

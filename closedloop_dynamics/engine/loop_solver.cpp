@@ -59,17 +59,33 @@ LoopSolver::LoopSolver(
 {
 }
 
-void LoopSolver::move_to(const DenseVector & q)
+void LoopSolver::move_to(const DenseVector & q, const DenseVector & qd)
 {
   here_ = q;
-  outward(model_, view(here_), view(still_), work_);
+  rates_ = qd;
+  outward(model_, view(here_), view(rates_), work_);
 }
 
 const DenseVector & LoopSolver::residuals_at(const DenseVector & q)
 {
   move_to(q);
   update(model_, work_, Responses::NONE);
-  to_user_order(model_, work_.closure, view(all_));
+  return gather(work_.closure);
+}
+
+const DenseVector & LoopSolver::changes_at(
+  const DenseVector & q, const DenseVector & qd, Level level)
+{
+  move_to(q, qd);
+  update(model_, work_, Responses::NONE);
+  return gather(level == Level::VELOCITY ? work_.closure_rate : work_.bias);
+}
+
+/// Numbers of the equations to be met, from those of all in elimination order, and what a search from
+/// far away adds.
+const DenseVector & LoopSolver::gather(Values ordered)
+{
+  to_user_order(model_, ordered, view(all_));
   if (far_.empty()) {
     for (Index i = 0; i < loops_.rows.size; ++i) {
       residuals_[i] = all_[loops_.rows[i]];
@@ -96,16 +112,17 @@ const DenseVector & LoopSolver::residuals_at(const DenseVector & q)
   return residuals_;
 }
 
-const DenseMatrix & LoopSolver::slopes_at(const DenseVector & q)
+const DenseMatrix & LoopSolver::slopes()
 {
-  residuals_at(q);
   constraint_jacobian(model_, work_, view(all_slopes_));
-  slopes_.setZero(residuals_.size(), model_.joints());
+  gather(work_.closure);
+  slopes_.resize(residuals_.size(), model_.joints());
   if (far_.empty()) {
     for (Index i = 0; i < loops_.rows.size; ++i) {
-      slopes_.row(i) = all_slopes_.row(loops_.rows[i]);
+      copy(view(all_slopes_)[loops_.rows[i]], view(slopes_)[i]);
     }
   } else {
+    slopes_.setZero();
     for (Index row : loops_.rows) {
       slopes_.row(row) = all_slopes_.row(row) / far_.unit[row];
     }

@@ -9,7 +9,8 @@
 #include "workspace.hpp"
 
 // Positions and rates that close the loops, found from approximate ones: set-up work, on dense
-// matrices. Steps are corrected by projection.cpp and independent.cpp, without allocation.
+// matrices. driven.cpp has residuals and derivatives from here. Other corrections have a reason of
+// their own, at their heads: projection.cpp, independent.cpp, chart.cpp.
 
 namespace closedloop
 {
@@ -26,10 +27,10 @@ struct Loops
   double least = 0.0;
   /// The most that one correction changes a freedom, in units of `scale`.
   double limit = 0.0;
-  Values weight;  ///< Of each freedom, a metric in the place of the masses'; none: theirs
+  Values weight = {};  ///< Of each freedom, a metric in the place of the masses'; none: theirs
   /// Freedoms of a number each, and values to come as near to as the loops and `weight` let them.
-  Indices measured;
-  Values values;
+  Indices measured = {};
+  Values values = {};
 
   template<class Visitor>
   void fields(Visitor && visit)
@@ -91,7 +92,16 @@ public:
   /// axes and limits add, in units.
   const DenseVector & residuals_at(const DenseVector & q);
   /// The same, and their derivatives by all freedoms.
-  const DenseMatrix & slopes_at(const DenseVector & q);
+  const DenseMatrix & slopes_at(const DenseVector & q)
+  {
+    move_to(q);
+    return slopes();
+  }
+  /// Both at the latest coordinates.
+  const DenseMatrix & slopes();
+  const DenseVector & residuals() const {return residuals_;}
+  /// Rates of closure errors at rates, or their accelerations where those of the joints are zero.
+  const DenseVector & changes_at(const DenseVector & q, const DenseVector & qd, Level);
 
   /// Newton's method with rank-revealing corrections, until the largest residual is no more than
   /// `goal` or decreases no longer.
@@ -124,7 +134,9 @@ public:
   double sign() const {return sign_;}
 
 private:
-  void move_to(const DenseVector & q);
+  void move_to(const DenseVector & q) {move_to(q, still_);}
+  void move_to(const DenseVector & q, const DenseVector & qd);
+  const DenseVector & gather(Values ordered);
   double astray(Index a, Index axes);
   bool is_aimed() const {return loops_.measured.size > 0;}
   void aim_from(const DenseVector & present, bool rates);
@@ -137,7 +149,7 @@ private:
   const Manifold & manifold_;
   Loops loops_;
   Far far_;
-  DenseVector here_, still_, all_, residuals_, change_, metric_place_, ahead_;
+  DenseVector here_, rates_, still_, all_, residuals_, change_, metric_place_, ahead_;
   DenseMatrix all_slopes_, slopes_;
   Eigen::MatrixXd jac_, root_;
   bool has_metric_ = false;

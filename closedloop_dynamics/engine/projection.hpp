@@ -6,7 +6,9 @@
 
 #include "data.hpp"
 
-// Corrections of a state: onto the loop closures, in the mass metric, and onto unit quaternions.
+// Corrections of a state: onto the loop closures, in the mass metric, and onto unit quaternions. They
+// are part of every step: without allocation, by generated code or by the factors of an evaluation,
+// which loop_solver.hpp does without.
 
 namespace closedloop
 {

@@ -1,7 +1,12 @@
 # SPDX-FileCopyrightText: 2026 The closedloop_dynamics authors
 # SPDX-License-Identifier: Apache-2.0
 
-"""The C that is the same for all mechanisms; ``c_source`` fills in the rest."""
+"""
+The C that is the same for all mechanisms; ``c_source`` fills in the rest.
+
+It closes loops by the generated correction, as ``engine/projection.cpp`` does in a step: the
+engine's loop solver needs Eigen and memory.
+"""
 
 HEADER = """\
 /* @TITLE@

@@ -9,7 +9,8 @@ close the loops the nearest to the measured ones is found, in the sense of weigh
 as many measured joints as there are degrees of freedom are met, more of them are balanced.
 
 Several positions may do, on branches that meet in singular positions only. So the way there is
-followed from the last one, in pieces in which no joint moves far.
+followed from the last one, in pieces in which no joint moves far. Each piece is the engine's loop
+solver's; here is how far it may be, and on which branch it ends.
 """
 
 import math

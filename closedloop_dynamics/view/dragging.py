@@ -9,7 +9,8 @@ with them; all other pins, and how bodies are turned, stay. Where a place follow
 these are solved for, and bodies may turn: the loops stay closed first, then the pin is as near as
 possible to the place that is wanted, then other pins stay where they are. What a point follows
 from is solved for with the joints held that the start holds. What follows from these
-numbers is not written: the file is read again.
+numbers is not written: the file is read again. The engine's loop solver is for the joints of one
+machine; here lengths are unknown beside them, and each try is another machine.
 """
 
 from copy import deepcopy

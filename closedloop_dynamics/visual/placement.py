@@ -6,7 +6,8 @@ How a body moves, and states in which it has a given pose or velocity.
 
 Of the joint coordinates that close the loops and put a body where it is wanted, those are found
 that follow from the present ones by least changes (Newton's method with the pseudo-inverse of
-closure and body Jacobian).
+closure and body Jacobian). The engine's loop solver has no equations for a pose, and sines of
+angles in those of loops: from half a turn away these would close the wrong way round.
 """
 
 import numpy as np
