@@ -207,8 +207,8 @@ class Engine:
         return lines
 
     def _motion(self, case, count, step, springs, integrator):
-        model = self.build(step, springs / step, integrator)
-        data = mujoco.MjData(model)
+        # One data serves all settings: there may be hundreds.
+        model, data = self.build(step, springs / step, integrator), self._data
         held = np.zeros((len(case.torques), model.nv))
         held[:, self._rates] = case.torques[:, :model.nv]
 

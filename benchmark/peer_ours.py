@@ -98,9 +98,13 @@ def _motion(case, judged=False, **method):
     one = case.simulation(**method)
     steps = round(case.span / one.step_size)
 
-    def execute():
+    def back():
         one.reset()
         one.stepping.monitor.sampling = False
+
+    def execute():
+        if not judged:
+            back()
         for torque in case.torques:
             one.advance(torque, steps)
         return one.position
@@ -110,5 +114,6 @@ def _motion(case, judged=False, **method):
         return error, simulation.data.system.work.health[EVALUATIONS] / case.duration
 
     if judged:
-        execute.judged = judge
+        # What the default takes is the motion alone, as a user has it.
+        execute.prepare, execute.judged = back, judge
     return execute

@@ -82,22 +82,21 @@ class Engine:
         whole = with_balls_at_loops(mechanism, HINGE)
         carrying = self._build(whole, tree)
         loops = [_constraint(cut, carrying) for cut in whole.cut_joints]
-        self._loops = {name: Loops(self, loops, *settings, name != PLAIN)
+        self._loops = {name: Loops(self, self._model, loops, *settings, name != PLAIN)
                        for name, settings in SETTINGS.items()}
         self._plain = self._loops[PLAIN]
         self.acceleration = self._plain.acceleration
-        self.limit = Loops(self, loops, *CONVERGED, False).acceleration
+        self.limit = Loops(self, self._model, loops, *CONVERGED, False).acceleration
         self.others = {name: of.acceleration for name, of in self._loops.items() if name != PLAIN}
         self._data = self._model.createData()
         self._constraints = pin.StdVec_RigidConstraintModel()
         self._constraint_data = pin.StdVec_RigidConstraintData()
-        for a, of_a, b, of_b, whole in loops:
+        for *ends, rigid in loops:
             self._constraints.append(pin.RigidConstraintModel(
-                pin.ContactType.CONTACT_6D if whole else pin.ContactType.CONTACT_3D, self._model,
-                a, of_a, b, of_b, pin.ReferenceFrame.LOCAL))
+                pin.ContactType.CONTACT_6D if rigid else pin.ContactType.CONTACT_3D, self._model,
+                *ends, pin.ReferenceFrame.LOCAL))
             self._constraint_data.append(self._constraints[-1].createData())
-        mu, iterations = SETTINGS[PLAIN]
-        self._proximal = pin.ProximalSettings(ACCURACY, mu, iterations)
+        self._proximal = pin.ProximalSettings(ACCURACY, *SETTINGS[PLAIN])
         pin.initConstraintDynamics(
             self._model, self._data, self._constraints, self._constraint_data)
 
@@ -138,10 +137,6 @@ class Engine:
             model.appendBodyToJoint(parent, inertia, placement)
             carrying[joint.child] = parent, placement
         return carrying
-
-    def save(self, path):
-        """Save the model."""
-        self._model.saveToBinary(path)
 
     def state(self, q, qd):
         """Return its coordinates and rates, one after the other, for ours."""
@@ -227,7 +222,8 @@ class Loops:
     Parameters
     ----------
     engine : Engine
-        Whose model it is.
+        Whose states it is told.
+    model : pinocchio.Model
     loops : list of tuple
         What holds loops together: joint, frame, joint, frame, whether orientations are held, too.
     mu, iterations : float, int
@@ -237,10 +233,10 @@ class Loops:
 
     """
 
-    def __init__(self, engine, loops, mu, iterations, by_bodies):
+    def __init__(self, engine, model, loops, mu, iterations, by_bodies):
         self._engine, self._library = engine, _compiled()
         with tempfile.NamedTemporaryFile(suffix='.bin') as file:
-            engine.save(file.name)
+            model.saveToBinary(file.name)
             self._handle = ctypes.c_void_p(self._library.create(
                 file.name.encode(), len(loops),
                 _pointer([[a, b] for a, _, b, _, _ in loops], np.int32),
