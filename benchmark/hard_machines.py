@@ -59,7 +59,7 @@ def stepped(count):
 
 def worst_of(simulation, looks, advance, *figures, bound=math.inf):
     """
-    Return the worst figure along a motion, infinity where it reaches a bound.
+    Return the worst figure along a motion, infinity where it reaches a bound or is NaN.
 
     Parameters
     ----------
@@ -84,9 +84,11 @@ def worst_of(simulation, looks, advance, *figures, bound=math.inf):
             simulation.advance(tau, advance)
         else:
             simulation.step(duration=advance)
-        worst = max(worst, *(figure(simulation) for figure in figures))
-        if not worst < bound:
+        found = [figure(simulation) for figure in figures]
+        # NaN is less than nothing.
+        if not all(one < bound for one in found):
             return math.inf
+        worst = max(worst, *found)
     return worst
 
 

@@ -7,6 +7,7 @@ import math
 
 from hard_cases import (
     ACCURATE, Case, DEGRADED, judge, Outcome, REFUSED, UNSTABLE)
+import hard_machines as machines
 import pytest
 import stability
 
@@ -80,6 +81,15 @@ def case(figure, accurate=1.0, stable=2.0):
     (0.5, ACCURATE), (1.5, DEGRADED), (3.0, UNSTABLE), (math.nan, UNSTABLE), (math.inf, UNSTABLE)])
 def test_figure_is_judged_by_its_bounds(figure, status):
     assert judge(case(figure), DEFAULT, True).status == status
+
+
+def test_worst_figure_of_a_motion_is_infinite_where_one_is_none():
+    simulation = machines.started('four_bar', DEFAULT)
+    assert machines.worst_of(simulation, 3, 0.01, lambda one: one.time) == pytest.approx(0.03)
+    for figure in (math.nan, 2.0):
+        assert machines.worst_of(
+            simulation, 1, 5, lambda one: 0.5, lambda one, figure=figure: figure,
+            bound=2.0) == math.inf
 
 
 def test_names_of_cases_are_unique_and_texts_short():
