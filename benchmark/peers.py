@@ -89,7 +89,7 @@ ROUNDS, QUICK_ROUNDS = 15, 3
 PLAN = peer_runner.Plan(
     tolerances=(1.0, 0.3, *(10.0 ** -k for k in range(1, 14))),
     steps=(1e-2, 5e-3, 2e-3, 1e-3, 5e-4, 2e-4, 1e-4, 5e-5, 2e-5), springs=(0.1, 0.3), rounds=6,
-    longest=0.4, enough=0.3)
+    longest=0.4, enough=0.1)
 QUICK_PLAN = peer_runner.Plan(
     tolerances=tuple(10.0 ** -k for k in range(3, 13, 3)), steps=(1e-2, 1e-3), springs=(0.1,),
     rounds=2, longest=0.2, enough=0.3)
