@@ -28,7 +28,10 @@ def again(system, q, qd):
     """Return evaluations of one state inside compiled code."""
     state = np.zeros(number_of_states(system))
     state[:len(q) + len(qd)] = np.concatenate((q, qd))
-    return partial(native.evaluate_again, system.native, state)
+    if hasattr(native, 'evaluate_again'):
+        # In earlier commits.
+        return partial(native.evaluate_again, system.native, state)
+    return partial(system.native.evaluate_again, state)
 
 
 def evaluation(one):

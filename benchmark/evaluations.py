@@ -14,7 +14,6 @@ from functools import partial
 import math
 import time
 
-from closedloop_dynamics.engine import native
 from closedloop_dynamics.integration.system import number_of_states
 from closedloop_dynamics.simulation.scene_records import Method
 from closedloop_dynamics.simulation.simulation import Simulation
@@ -49,7 +48,7 @@ def evaluate_again(system, q, qd, count):
         How often.
 
     """
-    native.evaluate_again(system.native, state_of(system, q, qd), count)
+    system.native.evaluate_again(state_of(system, q, qd), count)
 
 
 def ladder(loops, massless=(), lift=lambda mechanism: mechanism):
@@ -104,7 +103,7 @@ def called_again(system, q, qd, count):
     """Do the same with forces, by calls from Python."""
     state = state_of(system, q, qd)
     for _ in range(count):
-        native.evaluate_state(system.native, state)
+        system.native.evaluate_state(state)
 
 
 def ratios(machine, rounds):

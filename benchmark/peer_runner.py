@@ -25,7 +25,6 @@ import time
 for _name in ('OMP_NUM_THREADS', 'OPENBLAS_NUM_THREADS', 'MKL_NUM_THREADS'):
     os.environ[_name] = '1'
 
-from closedloop_dynamics.engine import native  # noqa: E402
 from closedloop_dynamics.simulation.errors import SimulationError  # noqa: E402
 from closedloop_dynamics.simulation.simulation import Simulation  # noqa: E402
 import numpy as np  # noqa: E402
@@ -112,7 +111,7 @@ def agreement(machine, built, states):
     system, truth, rows = Simulation(machine.scene).data.system, [], []
     for q, qd, tau in states:
         system.tau[:] = tau
-        native.evaluate(system.native, q, qd)
+        system.native.evaluate(q, qd)
         truth.append(system.qdd.copy())
 
     def error(function):

@@ -6,7 +6,6 @@
 from dataclasses import dataclass, replace
 import math
 
-from closedloop_dynamics.engine import native
 from closedloop_dynamics.integration.registry import STABILISATIONS
 from closedloop_dynamics.simulation.errors import NumericalError, SimulationError
 from closedloop_dynamics.simulation.simulation import Simulation
@@ -82,15 +81,14 @@ class SciPyMotion:
                 raise NumericalError('the step size becomes too small')
             self._dense = self._solver.dense_output()
         out = self._dense(self._time)
-        if not native.stabilise(
-                simulation.data.system.native, STABILISATIONS[method.stabilisation], out):
+        if not simulation.data.system.native.stabilise(STABILISATIONS[method.stabilisation], out):
             raise SimulationError('the loops cannot be closed')
         state[:] = out
         simulation.data.touch()
 
     def _slope(self, time, state):
         out = np.empty(len(state))
-        native.derivative(self._simulation.data.system.native, np.ascontiguousarray(state), out)
+        self._simulation.data.system.native.derivative(np.ascontiguousarray(state), out)
         # SciPy's solvers would go on, some of them for ever.
         self._evaluations += 1
         if self._evaluations > MOST_EVALUATIONS or not np.isfinite(out).all():

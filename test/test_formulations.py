@@ -6,7 +6,6 @@
 from pathlib import Path
 import sys
 
-from closedloop_dynamics.engine import native
 from closedloop_dynamics.integration.system import build_system
 from closedloop_dynamics.mechanism.validation import validate_mechanism
 from closedloop_dynamics.simulation.modeling import build_model
@@ -53,7 +52,7 @@ def test_families_accelerate_as_their_twins_in_extended_precision(build, size):
         rng.uniform(-1.0, 1.0, count) / count)
     system = build_system(build_model(mechanism))
     system.tau[:] = rng.uniform(-1.0, 1.0, count)
-    native.evaluate(system.native, np.array(position), rates)
+    system.native.evaluate(np.array(position), rates)
     twin = maximal.forward_dynamics(
         mechanism, np.array(position), rates, system.tau, (0.0, 0.0), maximal.extended)
     assert_agree(system.qdd, twin.qdd, 1e-13)
@@ -64,7 +63,7 @@ def test_families_accelerate_as_their_twins_in_extended_precision(build, size):
 def test_formulations_agree_on_every_class_of_scene(name):
     one = Simulation.from_scene(name)
     one.step(duration=0.3)
-    native.evaluate_state(one.data.system.native, one.data.integrated)
+    one.data.system.native.evaluate_state(one.data.integrated)
     for formulation in FORMULATIONS:
         acceleration, forces = dense_dynamics(one, formulation)
         assert_agree(acceleration, one.acceleration, 1e-11, smallest=1.0)

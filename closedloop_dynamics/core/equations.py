@@ -120,7 +120,7 @@ class Equations:
         self._move = native.bind('outward', self.model, self._q, self._qd, self.work)
         self._close = native.bind('update', self.model, self.work, NO_RESPONSES)
         self._largest = native.bind('largest', self.work.closure)
-        self._solver = self.model, self.work, manifold_of(self.model)
+        self._manifold = manifold_of(self.model)
 
     def _present_constants(self):
         """Return the constants that may decide which code serves which body."""
@@ -155,17 +155,17 @@ class Equations:
         self._close()
         return self._largest()
 
-    def solve(self, function, *arguments):
-        """Call a function of ``engine/loop_solver.hpp`` with these equations, then others."""
+    def solve(self, name, *arguments):
+        """Call a function of ``engine/loop_solver.hpp`` for these equations."""
         self._connect()
         self._jacobian = None
-        return function(*self._solver, *arguments)
+        return getattr(self.model.native, name)(self.work, self._manifold, *arguments)
 
     def jacobian(self):
         """Return J = d psi / d q, shape (nc, nv)."""
         if self._jacobian is None:
             self._jacobian = np.zeros((self.nc, self.nv))
-            native.constraint_jacobian(self.model, self.work, self._jacobian)
+            self.model.constraint_jacobian(self.work, self._jacobian)
         return self._jacobian
 
     def units(self):
@@ -176,7 +176,7 @@ class Equations:
         couplings, which have factors of any size, in what they change by.
         """
         rows, columns = np.empty(self.nc), np.empty(self.nv)
-        native.loop_units(self.model, self.places, self.jacobian(), rows, columns)
+        self.model.loop_units(self.places, self.jacobian(), rows, columns)
         return rows, columns
 
     def dimensionless(self, columns=None):
@@ -196,7 +196,7 @@ class Equations:
     def inertia(self):
         """Return the generalized inertia matrix of the spanning tree, shape (nv, nv)."""
         gim = np.zeros((self.nv, self.nv))
-        native.generalized_inertia_matrix(self.model, self.work, gim)
+        self.model.generalized_inertia_matrix(self.work, gim)
         # That has used up the bodies' own inertias.
         self._move()
         return gim
@@ -204,7 +204,7 @@ class Equations:
     def energies(self):
         """Return kinetic energy, and that in gravity, zero at the world's origin [J]."""
         found = np.zeros(2)
-        native.energies(self.model, self.work, self._qd, found)
+        self.model.energies(self.work, self._qd, found)
         return float(found[0]), float(found[1])
 
     def cut_wrenches(self, lam, body):
@@ -215,7 +215,6 @@ class Equations:
         N], of the multipliers of all equations; of ``body``, as ``Workspace.body``, only poses are
         read.
         """
-        model, work = self.model, self.work
-        found = np.empty((len(model.cut), work.wrench.shape[1]))
-        native.cut_wrenches(model, body, lam, work.share, found)
+        found = np.empty((len(self.model.cut), self.work.wrench.shape[1]))
+        self.model.cut_wrenches(self.work, body, lam, found)
         return found

@@ -13,7 +13,6 @@ change. Where a mechanism has no such joint there is no table, and nothing of th
 import numpy as np
 
 from .types import BALL, Handle, TYPE
-from ..engine import native
 
 # Columns of Manifold.balls.
 QUATERNION, TURN = range(2)
@@ -23,7 +22,7 @@ HALF = 0.5
 
 def manifold_of(model):
     """Return the places of a model's quaternions, None where there are none."""
-    return Handle(native.manifold(model)) if (model.tree[:, TYPE] == BALL).any() else None
+    return Handle(model.manifold()) if (model.tree[:, TYPE] == BALL).any() else None
 
 
 def weights(manifold, nv):

@@ -137,21 +137,26 @@ class Arrays(SimpleNamespace):
 
 class Handle(Arrays):
     """
-    An object of the engine, its attribute ``native``, and its arrays.
+    An object of the engine, its attribute ``native``, with its methods, and its arrays.
 
     These are views, of the names that they have there, and keep the memory that they are of.
     """
 
-    def __init__(self, made, **attributes):
-        """``made``: as functions of the engine return it; further attributes by name."""
-        native, arrays = made
+    def __init__(self, native, **attributes):
+        """``native``: an object of the engine; further attributes by name."""
         super().__init__(native=native)
-        self.see(arrays)
+        self.see()
         vars(self).update(attributes)
 
-    def see(self, arrays):
+    def __getattr__(self, name):
+        """Return a method of the object."""
+        if name.startswith('__') or name == 'native':
+            raise AttributeError(name)
+        return getattr(self.native, name)
+
+    def see(self):
         """See the arrays of the object, by their names."""
-        for name, array in arrays.items():
+        for name, array in self.native.views().items():
             *path, last = name.split('.')
             record = self
             for part in path:
@@ -162,8 +167,8 @@ class Handle(Arrays):
 class Model(Handle):
     """Constant description of one mechanism, of which ``engine/model.hpp`` says what it holds."""
 
-    def __init__(self, made):
-        super().__init__(made, whole=None)
+    def __init__(self, native):
+        super().__init__(native, whole=None)
 
     @property
     def origin(self):
@@ -181,7 +186,7 @@ class Model(Handle):
 
     def with_cut(self, cut):
         """Return one on other equations, by columns of ``cut``; effects change it with this."""
-        return Model(native.model_with_equations(self.native, cut))
+        return Model(self.native.with_cut(cut))
 
     def __reduce__(self):
         """Copy and pickle as what all of it follows from."""

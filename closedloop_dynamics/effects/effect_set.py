@@ -21,7 +21,6 @@ from ..core import codegen
 from ..core.codegen import joint_kernels
 from ..core.codegen.function_table import EVALUATION
 from ..core.types import TYPE, VARIES
-from ..engine import native
 from ..mechanism.checks import boolean, one_of
 from ..mechanism.fields import at, FieldError, keys_of, mapping
 
@@ -135,7 +134,7 @@ class EffectSet:
         table = self._table
         if rows:
             self._filled_by = None
-            native.touch(self._system.native)
+            self._system.native.touch()
         for row in rows:
             name = self._rows[row]
             table.put(row, self.records[name].element(self._machine), self.enabled[name])
@@ -170,7 +169,7 @@ class EffectSet:
         for record in active:
             record.change(model, self._machine)
         if self._system is not None:
-            native.touch(self._system.native)
+            self._system.native.touch()
             self._link()
         self.drives = {}
         for record in active:
@@ -313,12 +312,12 @@ class EffectSet:
         of a profile was found last, too.
         """
         attributes = {**vars(self), 'records': dict(self.records), 'enabled': dict(self.enabled)}
-        numbers, table = native.snapshot(self._system), self._table
+        numbers, table = self._system.snapshot(), self._table
         elements = list(table.elements)
 
         def undo():
             vars(self).update(attributes)
-            native.touch(self._system.native)
+            self._system.native.touch()
             numbers.restore()
             table.elements[:] = elements
 
@@ -335,10 +334,10 @@ class EffectSet:
         if self.cuts is None:
             return qd
         cuts, nv = self._table.cuts, len(qd)
-        native.touch(self._system.native)
-        native.outward(self._system.model, q, qd, self._system.work)
+        self._system.native.touch()
+        self._system.model.outward(q, qd, self._system.work)
         cuts.qd[:nv] = qd
-        native.measure_cut_coordinates(self._table, self._system.work.body, cuts.q, cuts.qd)
+        self._table.measure_cut_coordinates(self._system.work.body, cuts.q, cuts.qd)
         return cuts.qd.copy()
 
     def restart_angles(self, states):

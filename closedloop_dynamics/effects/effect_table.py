@@ -10,7 +10,6 @@ import numpy as np
 from . import law_code
 from .element import NO_CUTS, Row
 from ..core.types import Handle
-from ..engine import native
 
 
 class EffectElement(NamedTuple):
@@ -44,8 +43,8 @@ class EffectTable(Handle):
 
     """
 
-    def __init__(self, made, elements):
-        super().__init__(made, elements=elements)
+    def __init__(self, native, elements):
+        super().__init__(native, elements=elements)
 
     @classmethod
     def of(cls, model, whole, elements=(), cuts=None):
@@ -62,8 +61,8 @@ class EffectTable(Handle):
             Index and values of the freedoms of cut joints that anything acts in.
 
         """
-        return cls(native.effects(
-            model, whole, for_engine(elements, len(model.gravity) == 3), *cuts or NO_CUTS),
+        return cls(model.effects(
+            whole, for_engine(elements, len(model.gravity) == 3), *cuts or NO_CUTS),
             list(elements))
 
     @property
@@ -82,8 +81,8 @@ class EffectTable(Handle):
         return made
 
     def copied(self, system):
-        """Return the table of a copy of the system, a handle, that this one is of."""
-        return EffectTable(native.effects_of(system), list(self.elements))
+        """Return the table of a copy, of the engine, of the system that this one is of."""
+        return EffectTable(system.own_effects(), list(self.elements))
 
     @property
     def is_spatial(self):
@@ -113,7 +112,7 @@ class EffectTable(Handle):
     def put(self, number, element, enabled):
         """Have an effect say something else, or be switched, while a simulation may run."""
         one, = for_engine([element], self.is_spatial, enabled)
-        native.put_effect(self, number, one)
+        self.put_effect(number, one)
         self.elements[number] = element
 
 

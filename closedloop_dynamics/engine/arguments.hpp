@@ -7,7 +7,6 @@
 #include <array>
 #include <cstddef>
 #include <cstdint>
-#include <cstring>
 #include <exception>
 #include <memory>
 #include <new>
@@ -20,206 +19,20 @@
 #include <utility>
 #include <vector>
 
-#include "bounds.hpp"
-#include "data.hpp"
+#include "callable.hpp"
 #include "forces.hpp"
-#include "handles.hpp"
-#include "python_api.hpp"
+#include "objects.hpp"
 #include "run.hpp"
+#include "signature.hpp"
+#include "stop_flag.hpp"
 
-// Functions of C++ as functions of Python: arguments are converted by the types of the parameters.
+// Functions of C++ as functions of Python, or methods, where the first parameter is an object:
+// arguments are converted by the types of the parameters, and checked by the text of the function.
 // Arrays are used in place (C-contiguous, of float64 or int64), named tuples of arrays become the
 // structs of the same fields, None an empty one.
 
 namespace closedloop
 {
-
-template<class Record>
-void read_record(PyObject * from, Record & to, Place place);
-
-struct Ignore
-{
-  template<class ... Field>
-  void operator()(Field && ...) const {}
-};
-
-template<class Type, class = void>
-struct IsRecord : std::false_type {};
-template<class Type>
-struct IsRecord<Type, std::void_t<decltype(std::declval<Type &>().fields(Ignore{}))>>
-  : std::true_type {};
-
-/// The letter of the type of an array's entries; '?' where it takes more than one.
-inline char kind_of(const Py_buffer & view)
-{
-  return view.format != nullptr && view.format[0] != '\0' && view.format[1] == '\0' ?
-         view.format[0] : '?';
-}
-
-inline bool is_real(const Py_buffer & view) {return view.itemsize == 8 && kind_of(view) == 'd';}
-
-template<class Number>
-bool is_aligned(const Py_buffer & view)
-{
-  return reinterpret_cast<std::uintptr_t>(view.buf) % alignof(Number) == 0;
-}
-
-/// See an array as numbers of a type, with so many dimensions.
-template<class Number>
-Number * read_array(PyObject * from, int dimensions, Index * shape, Place place)
-{
-  Py_buffer view{};
-  const int flags = c_contiguous | PyBUF_FORMAT | (std::is_const_v<Number>? 0 : PyBUF_WRITABLE);
-  if (PyObject_GetBuffer(from, &view, flags) < 0) {
-    throw PythonError();
-  }
-  // The caller holds a reference to the array.
-  PyBuffer_Release(&view);
-  constexpr bool wants_real = std::is_same_v<std::remove_const_t<Number>, double>;
-  const char kind = kind_of(view);
-  const bool fits = wants_real ?
-    is_real(view) : view.itemsize == 8 && (kind == 'l' || kind == 'q');
-  if (!fits || view.ndim != dimensions || !is_aligned<Number>(view)) {
-    PyErr_Format(
-      PyExc_TypeError, "%s, argument %zd: expected %s of %d dimensions, got format '%c' of %d",
-      place.function, place.argument, wants_real ? "float64" : "int64", dimensions, kind,
-      view.ndim);
-    throw PythonError();
-  }
-  for (int n = 0; n < dimensions; ++n) {
-    shape[n] = view.shape[n];
-  }
-  return static_cast<Number *>(view.buf);
-}
-
-template<class Number>
-void read(PyObject * from, Vector<Number> & to, Place place)
-{
-  to.data = read_array<Number>(from, 1, &to.size, place);
-}
-
-template<class Number>
-void read(PyObject * from, Matrix<Number> & to, Place place)
-{
-  Index shape[2];
-  to.data = read_array<Number>(from, 2, shape, place);
-  to.rows = shape[0];
-  to.columns = shape[1];
-}
-
-template<class Number>
-void read(PyObject * from, Cube<Number> & to, Place place)
-{
-  Index shape[3];
-  to.data = read_array<Number>(from, 3, shape, place);
-  to.pages = shape[0];
-  to.rows = shape[1];
-  to.columns = shape[2];
-}
-
-/// Read an array of numbers; Python reports anything else.
-inline void read(PyObject * from, OptionalVector & to, Place)
-{
-  to = {};
-  to.is_none = from == &_Py_NoneStruct;
-  if (to.is_none || !PyObject_CheckBuffer(from)) {
-    return;
-  }
-  Py_buffer view{};
-  if (PyObject_GetBuffer(from, &view, c_contiguous | PyBUF_FORMAT) < 0) {
-    PyErr_Clear();
-    return;
-  }
-  // The caller holds a reference to the array.
-  PyBuffer_Release(&view);
-  to.is_array = view.ndim == 1 && is_real(view) && is_aligned<double>(view);
-  if (to.is_array) {
-    to.numbers = {static_cast<const double *>(view.buf), view.shape[0]};
-  }
-}
-
-inline void read(PyObject * from, double & to, Place)
-{
-  to = PyFloat_AsDouble(from);
-  if (to == -1.0 && PyErr_Occurred() != nullptr) {
-    throw PythonError();
-  }
-}
-
-inline void read(PyObject * from, Index & to, Place)
-{
-  to = PyLong_AsLongLong(from);
-  if (to == -1 && PyErr_Occurred() != nullptr) {
-    throw PythonError();
-  }
-}
-
-inline void read(PyObject * from, bool & to, Place)
-{
-  const int found = PyObject_IsTrue(from);
-  if (found < 0) {
-    throw PythonError();
-  }
-  to = found == 1;
-}
-
-/// The last value of each enumeration that Python hands over.
-constexpr Index last_of(Stabilisation) {return static_cast<Index>(Stabilisation::INDEPENDENT);}
-constexpr Index last_of(effect::Role) {return effect::INERTIA;}
-constexpr Index last_of(effect::Gap) {return effect::EVENT;}
-constexpr Index last_of(Status) {return static_cast<Index>(Status::DOUBTFUL);}
-constexpr Index last_of(Responses) {return static_cast<Index>(Responses::CARRIED);}
-
-template<class Type>
-auto read(PyObject * from, Type & to, Place place)
-->std::enable_if_t<std::is_enum_v<Type>>
-{
-  Index number;
-  read(from, number, place);
-  if (number < 0 || number > last_of(Type{})) {
-    PyErr_Format(
-      PyExc_ValueError, "%s, argument %zd: expected 0 to %zd, got %zd", place.function,
-      place.argument, static_cast<Py_ssize_t>(last_of(Type{})), static_cast<Py_ssize_t>(number));
-    throw PythonError();
-  }
-  to = static_cast<Type>(number);
-}
-
-inline void read(PyObject * from, std::string_view & to, Place)
-{
-  Py_ssize_t length = 0;
-  const char * text = PyUnicode_AsUTF8AndSize(from, &length);
-  if (text == nullptr) {
-    throw PythonError();
-  }
-  // The caller holds a reference to the text.
-  to = {text, static_cast<std::size_t>(length)};
-}
-
-/// Read a tuple of records.
-template<class Record>
-void read(PyObject * from, std::vector<Record> & to, Place place)
-{
-  const Py_ssize_t count = PyTuple_Size(from);
-  if (count < 0) {
-    throw PythonError();
-  }
-  to.assign(static_cast<std::size_t>(count), {});
-  for (Py_ssize_t n = 0; n < count; ++n) {
-    read_record(PyTuple_GetItem(from, n), to[static_cast<std::size_t>(n)], place);
-  }
-}
-
-inline void read(PyObject * from, const System * & to, Place place)
-{
-  // The caller holds a reference to the handle.
-  to = read_handle<System>(from, place).get();
-}
-
-inline void read(PyObject * from, Manifold & to, Place place)
-{
-  to = from == &_Py_NoneStruct ? Manifold() : *read_handle<Manifold>(from, place);
-}
 
 /// A run with what it works on; `owner` keeps the state.
 struct RunObject
@@ -239,85 +52,386 @@ struct RunObject
   }
 };
 
-/// Type in Python of objects that have methods, made with the module; nullptr: they are handles.
-template<class Type>
-inline PyObject * type_of = nullptr;
-template<class Type>
-inline constexpr bool has_methods =
-  std::is_same_v<Type, RunObject> || std::is_same_v<Type, Snapshot>;
-
-template<class Type>
-struct Holding
+/// A function whose arguments, or the first of them, are read once.
+class Bound
 {
-  PyObject head;
-  std::unique_ptr<Type> object;
+public:
+  virtual ~Bound() = default;
+  /// Call it with the arguments that are left.
+  virtual PyObject * run(PyObject * const * from, Py_ssize_t count) = 0;
+  void keep(PyObject * object)
+  {
+    Py_IncRef(object);
+    owners.emplace_back(object);
+  }
+
+private:
+  std::vector<Owned> owners;
 };
 
-template<class Type>
-Type & object_in(PyObject * from, Place place)
+#define CLOSEDLOOP_TYPE(type, name) \
+  template<> \
+  inline constexpr const char * type_name<type> = "closedloop_dynamics.engine.native." name;
+CLOSEDLOOP_TYPE(Model, "Model")
+CLOSEDLOOP_TYPE(Manifold, "Manifold")
+CLOSEDLOOP_TYPE(Workspace, "Workspace")
+CLOSEDLOOP_TYPE(EffectTable, "EffectTable")
+CLOSEDLOOP_TYPE(System, "System")
+CLOSEDLOOP_TYPE(RunObject, "Run")
+CLOSEDLOOP_TYPE(Snapshot, "Snapshot")
+CLOSEDLOOP_TYPE(StopFlag, "StopFlag")
+CLOSEDLOOP_TYPE(Callable, "Callable")
+CLOSEDLOOP_TYPE(Bound, "Bound")
+#undef CLOSEDLOOP_TYPE
+
+/// Counts of objects, by letters of signatures: Q coordinates, V rates, C equations that are worked
+/// on, A all of them, S numbers of a state, L of a whole one, T torques, with those of cut joints, B
+/// rows of bodies and D columns of these at least, W components of a wrench, P of a point, K cut
+/// joints, G their freedoms that anything acts in, Z states of effects, F frictions that may rest.
+inline Index count_of(const Model & model, char letter)
 {
-  if (reinterpret_cast<PyObject *>(from->ob_type) != type_of<Type>) {
-    PyErr_Format(
-      PyExc_TypeError, "%s, argument %zd: expected an object of another type of the engine",
-      place.function, place.argument);
-    throw PythonError();
+  switch (letter) {
+    case 'Q': return model.coordinates();
+    case 'V': return model.joints();
+    case 'C': return model.equations();
+    case 'S': return model.coordinates() + model.joints();
+    case 'B': return model.tree.rows;
+    case 'D': return model.planar() ? 31 : 81;
+    case 'W': return model.size();
+    case 'P': return model.planar() ? 2 : 3;
+    case 'K': return model.cut.rows;
+    default: throw std::logic_error("no such count of a model");
   }
-  return *reinterpret_cast<Holding<Type> *>(from)->object;
+}
+inline Index count_of(const Workspace & work, char letter)
+{
+  return letter == 'B' ? work.body.rows : letter == 'W' ? work.size() : work.planar() ? 2 : 3;
+}
+inline Index count_of(const Manifold & manifold, char letter)
+{
+  return letter == 'Q' ? manifold.place.size + manifold.balls.rows : manifold.place.size;
+}
+inline Index count_of(const EffectTable & effects, char letter)
+{
+  switch (letter) {
+    case 'V': return effects.applied.size - effects.cuts.index.rows;
+    case 'T': return effects.applied.size;
+    case 'B': return effects.reaction.rows;
+    case 'D': return effects.reaction.columns == 6 ? 31 : 81;
+    case 'G': return effects.cuts.index.rows;
+    case 'F': return effects.static_friction.rows.size - 1;
+    default: throw std::logic_error("no such count of effects");
+  }
+}
+inline Index count_of(const System & system, char letter)
+{
+  switch (letter) {
+    case 'Q': return system.nq();
+    case 'V': return system.nv();
+    case 'C': return system.lam.size;
+    case 'A': return (system.whole.empty() ? system.lam : system.whole.lam).size;
+    case 'S': return system.ns();
+    case 'T': return system.tau.size;
+    case 'E': return system.effects.count();
+    case 'Z': return system.effects.states.size;
+    default: return count_of(system.model, letter);
+  }
+}
+inline Index count_of(RunObject & run, char letter)
+{
+  return letter == 'L' ? run.run.whole_length(*run.system) : count_of(*run.system, letter);
+}
+/// Others have none.
+template<class Object>
+Index count_of(const Object &, char)
+{
+  throw std::logic_error("no such count");
 }
 
-template<class Type>
-void free_object(PyObject * object)
+/// What is known while the arguments of a function are read.
+struct Reading : Signature
 {
-  PyTypeObject * type = object->ob_type;
-  reinterpret_cast<Holding<Type> *>(object)->object.~unique_ptr();
-  PyObject_Free(object);
-  Py_DecRef(reinterpret_cast<PyObject *>(type));
-}
+  using Signature::Signature;
+  /// That of the function: a workspace beside it is of it, a manifold fits it.
+  const Model * model = nullptr;
+};
 
-/// Make the type of objects that have these methods.
-template<class Type>
-PyObject * make_type(const char * name, PyMethodDef * methods)
+template<class Object>
+void fit(Object & object, Reading & reading) {reading.count_by(object);}
+inline void fit(Model & model, Reading & reading)
 {
-  PyType_Slot slots[] = {
-    {Py_tp_methods, methods}, {Py_tp_dealloc, reinterpret_cast<void *>(free_object<Type>)},
-    {0, nullptr}};
-  PyType_Spec spec = {
-    name, sizeof(Holding<Type>), 0, Py_TPFLAGS_DISALLOW_INSTANTIATION, slots};
-  return type_of<Type> = PyType_FromSpec(&spec);
+  reading.model = reading.model == nullptr ? &model : reading.model;
+  reading.count_by(model);
 }
-
-inline void read(PyObject * from, const Run * & to, Place place)
+inline void fit(Workspace & work, Reading & reading)
 {
-  to = &object_in<RunObject>(from, place).run;
+  if (reading.model != nullptr && !(work.fits(*reading.model) && reading.model->is_connected())) {
+    refuse(
+      PyExc_ValueError, std::string(reading.function()) +
+      ": expected a model whose joints have code, and a workspace of it");
+  }
+  reading.count_by(work);
 }
-
-inline void read(PyObject * from, std::shared_ptr<System> & to, Place place)
+inline void fit(Manifold & manifold, Reading & reading)
 {
-  to = read_handle<System>(from, place);
-}
-
-template<class Type>
-auto read(PyObject * from, Type & to, Place place)->std::enable_if_t<IsRecord<Type>::value>
-{
-  read_record(from, to, place);
+  const Model * model = reading.model;
+  if (model != nullptr && !manifold.fits(model->coordinates(), model->joints())) {
+    refuse(
+      PyExc_ValueError, std::string(reading.function()) + ": expected the manifold of the model");
+  }
+  reading.count_by(manifold);
 }
 
 template<class Record>
-void read_record(PyObject * from, Record & to, Place place)
+void read_record(PyObject * from, Record & to, Reading & reading);
+
+struct Ignore
 {
-  if (from == &_Py_NoneStruct) {
+  template<class ... Field>
+  void operator()(Field && ...) const {}
+};
+
+template<class Type, class = void>
+struct IsRecord : std::false_type {};
+template<class Type>
+struct IsRecord<Type, std::void_t<decltype(std::declval<Type &>().fields(Ignore{}))>>
+  : std::true_type {};
+
+/// Refuse what is no such thing.
+[[noreturn]] inline void refuse_type(Reading & reading, const std::string & expected)
+{
+  refuse(
+    PyExc_TypeError, std::string(reading.function()) + ": " + std::string(reading.name()) +
+    ": expected " + expected);
+}
+
+/// The letter of the type of an array's entries; '?' where it takes more than one.
+inline char kind_of(const Py_buffer & view)
+{
+  return view.format != nullptr && view.format[0] != '\0' && view.format[1] == '\0' ?
+         view.format[0] : '?';
+}
+
+template<class Number>
+bool is_of(const Py_buffer & view)
+{
+  const char kind = kind_of(view);
+  const bool is_kind = std::is_same_v<std::remove_const_t<Number>, double> ?
+    kind == 'd' : kind == 'l' || kind == 'q';
+  return is_kind && view.itemsize == 8 &&
+         reinterpret_cast<std::uintptr_t>(view.buf) % alignof(Number) == 0;
+}
+
+/// See an array as numbers of a type, of some lengths.
+template<class Number, class ... Length>
+void read_array(PyObject * from, Reading & reading, Number * & data, Length & ... lengths)
+{
+  constexpr int dimensions = sizeof...(Length);
+  Py_buffer view{};
+  const int flags = c_contiguous | PyBUF_FORMAT | (std::is_const_v<Number>? 0 : PyBUF_WRITABLE);
+  if (PyObject_GetBuffer(from, &view, flags) < 0) {
+    throw PythonError();
+  }
+  // The caller holds a reference to the array.
+  PyBuffer_Release(&view);
+  if (!is_of<Number>(view) || view.ndim != dimensions) {
+    refuse_type(
+      reading, std::string(
+        std::is_same_v<std::remove_const_t<Number>, double>? "float64" : "int64") + " of " +
+      std::to_string(dimensions) + " dimensions, got format '" + kind_of(view) + "' of " +
+      std::to_string(view.ndim));
+  }
+  data = static_cast<Number *>(view.buf);
+  int n = 0;
+  ((lengths = view.shape[n++]), ...);
+  reading.check_entries(data, (lengths * ...));
+  reading.check_shape({lengths ...});
+}
+
+template<class Number>
+void read(PyObject * from, Vector<Number> & to, Reading & reading)
+{
+  read_array(from, reading, to.data, to.size);
+}
+
+template<class Number>
+void read(PyObject * from, Matrix<Number> & to, Reading & reading)
+{
+  read_array(from, reading, to.data, to.rows, to.columns);
+}
+
+template<class Number>
+void read(PyObject * from, Cube<Number> & to, Reading & reading)
+{
+  read_array(from, reading, to.data, to.pages, to.rows, to.columns);
+}
+
+/// Read an array of numbers; Python reports anything else.
+inline void read(PyObject * from, OptionalVector & to, Reading &)
+{
+  to = {};
+  to.is_none = from == &_Py_NoneStruct;
+  if (to.is_none || !PyObject_CheckBuffer(from)) {
+    return;
+  }
+  Py_buffer view{};
+  if (PyObject_GetBuffer(from, &view, c_contiguous | PyBUF_FORMAT) < 0) {
+    PyErr_Clear();
+    return;
+  }
+  // The caller holds a reference to the array.
+  PyBuffer_Release(&view);
+  to.is_array = view.ndim == 1 && is_of<double>(view);
+  if (to.is_array) {
+    to.numbers = {static_cast<const double *>(view.buf), view.shape[0]};
+  }
+}
+
+inline void read(PyObject * from, double & to, Reading & reading)
+{
+  to = PyFloat_AsDouble(from);
+  if (to == -1.0 && PyErr_Occurred() != nullptr) {
+    throw PythonError();
+  }
+  reading.check(to);
+}
+
+inline void read(PyObject * from, Index & to, Reading & reading)
+{
+  to = PyLong_AsLongLong(from);
+  if (to == -1 && PyErr_Occurred() != nullptr) {
+    throw PythonError();
+  }
+  reading.check(to);
+}
+
+inline void read(PyObject * from, bool & to, Reading &)
+{
+  const int found = PyObject_IsTrue(from);
+  if (found < 0) {
+    throw PythonError();
+  }
+  to = found == 1;
+}
+
+/// The last value of each enumeration that Python hands over.
+constexpr Index last_of(Stabilisation) {return static_cast<Index>(Stabilisation::INDEPENDENT);}
+constexpr Index last_of(effect::Role) {return effect::INERTIA;}
+constexpr Index last_of(effect::Gap) {return effect::EVENT;}
+constexpr Index last_of(Responses) {return static_cast<Index>(Responses::CARRIED);}
+
+template<class Type>
+auto read(PyObject * from, Type & to, Reading & reading)
+->std::enable_if_t<std::is_enum_v<Type>>
+{
+  Index number;
+  read(from, number, reading);
+  if (number < 0 || number > last_of(Type{})) {
+    reading.refuse(std::to_string(number));
+  }
+  to = static_cast<Type>(number);
+}
+
+inline void read(PyObject * from, std::string_view & to, Reading &)
+{
+  Py_ssize_t length = 0;
+  const char * text = PyUnicode_AsUTF8AndSize(from, &length);
+  if (text == nullptr) {
+    throw PythonError();
+  }
+  // The caller holds a reference to the text.
+  to = {text, static_cast<std::size_t>(length)};
+}
+
+/// Read a tuple of records.
+template<class Record>
+void read(PyObject * from, std::vector<Record> & to, Reading & reading)
+{
+  const Py_ssize_t count = PyTuple_Size(from);
+  if (count < 0) {
+    throw PythonError();
+  }
+  to.assign(static_cast<std::size_t>(count), {});
+  const int known = reading.known();
+  for (Py_ssize_t n = 0; n < count; ++n) {
+    read_record(PyTuple_GetItem(from, n), to[static_cast<std::size_t>(n)], reading);
+    reading.forget(known);
+  }
+}
+
+/// What an object of Python holds, or what it has as its attribute `native`; the caller keeps it, so
+/// that nothing is kept here.
+template<class Type>
+std::shared_ptr<Type> & find(PyObject * from, Reading & reading)
+{
+  // There may be none of these.
+  static std::shared_ptr<Type> none;
+  if constexpr (std::is_same_v<Type, Manifold> || std::is_same_v<Type, EffectTable>) {
+    none = none == nullptr ? std::make_shared<Type>() : none;
+  }
+  PyObject * holder = from;
+  if (!holds<Type>(from) && from != &_Py_NoneStruct) {
+    holder = PyObject_GetAttrString(from, "native");
+    PyErr_Clear();
+  }
+  // Not one that was made for this call.
+  const bool found_one = holder != nullptr && holds<Type>(holder) && (
+    holder == from || holder->ob_refcnt > 1);
+  if (holder != from) {
+    Py_DecRef(holder);
+  }
+  if (!found_one) {
+    if (from == &_Py_NoneStruct && (none != nullptr || std::is_same_v<Type, StopFlag>)) {
+      return none;
+    }
+    refuse_type(reading, std::string("an object of ") + type_name<Type>);
+  }
+  std::shared_ptr<Type> & found = held_by<Type>(holder);
+  fit(*found, reading);
+  return found;
+}
+
+template<class Type>
+void read(PyObject * from, std::shared_ptr<Type> & to, Reading & reading)
+{
+  to = find<Type>(from, reading);
+}
+template<class Type>
+auto read(PyObject * from, Type * & to, Reading & reading)
+->std::enable_if_t<type_name<std::remove_const_t<Type>> != nullptr>
+{
+  to = find<std::remove_const_t<Type>>(from, reading).get();
+}
+inline void read(PyObject * from, const Run * & to, Reading & reading)
+{
+  to = &find<RunObject>(from, reading)->run;
+}
+inline void read(PyObject * from, Manifold & to, Reading & reading)
+{
+  to = Manifold(*find<Manifold>(from, reading));
+}
+
+template<class Type>
+auto read(PyObject * from, Type & to, Reading & reading)->std::enable_if_t<IsRecord<Type>::value>
+{
+  read_record(from, to, reading);
+}
+
+/// Read the fields of a record as its own text declares them.
+template<class Record>
+void read_record(PyObject * from, Record & to, Reading & reading)
+{
+  if (from == &_Py_NoneStruct && reading.is_optional()) {
     return;
   }
   to.fields(
-    [&](auto & ... field) {
+    [&](const char * text, auto & ... field) {
       if (PyTuple_Size(from) != static_cast<Py_ssize_t>(sizeof...(field))) {
-        PyErr_Format(
-          PyExc_TypeError, "%s, argument %zd: expected a tuple of %zd fields", place.function,
-          place.argument, static_cast<Py_ssize_t>(sizeof...(field)));
-        throw PythonError();
+        refuse_type(reading, "a tuple of " + std::to_string(sizeof...(field)) + " fields");
       }
+      const Signature::Within within(reading, text);
       Py_ssize_t n = 0;
-      (read(PyTuple_GetItem(from, n++), field, place), ...);
+      ((reading.next(), read(PyTuple_GetItem(from, n++), field, reading)), ...);
     });
 }
 
@@ -330,9 +444,9 @@ struct Kept
 };
 
 template<class Record>
-void read(PyObject * from, Kept<Record> & to, Place place)
+void read(PyObject * from, Kept<Record> & to, Reading & reading)
 {
-  read(from, to.record, place);
+  read(from, to.record, reading);
   Py_IncRef(from);
   to.owner = std::shared_ptr<void>(
     from, [](void * object) {
@@ -342,78 +456,26 @@ void read(PyObject * from, Kept<Record> & to, Place place)
     });
 }
 
-/// Storage of a converted argument of a type.
-template<class Type, class = void>
-struct Holder
-{
-  Type value{};
-  void take(PyObject * from, Place place) {read(from, value, place);}
-  Type & get() {return value;}
-};
-
+/// A converted argument of a type, and how the function gets it.
 template<class Type>
-struct Holder<Type, std::enable_if_t<(handle_name<Type> != nullptr)>>
-{
-  std::shared_ptr<Type> value;
-  void take(PyObject * from, Place place)
-  {
-    // There may be none of these.
-    if constexpr (std::is_same_v<Type, Manifold> || std::is_same_v<Type, EffectTable>) {
-      if (from == &_Py_NoneStruct) {
-        value = std::make_shared<Type>();
-        return;
-      }
-    }
-    value = read_handle<Type>(from, place);
-  }
-  Type & get() {return *value;}
-};
-
+using Taken = std::conditional_t<type_name<Type> != nullptr, Type *, Type>;
 template<class Type>
-struct Holder<Type, std::enable_if_t<(has_methods<Type>)>>
+Type & pass(Taken<Type> & value)
 {
-  Type * value = nullptr;
-  void take(PyObject * from, Place place) {value = &object_in<Type>(from, place);}
-  Type & get() {return *value;}
-};
-
-/// The system that an argument computes with; nullptr: none.
-template<class Argument>
-System * system_in(const Argument &) {return nullptr;}
-inline System * system_in(const Holder<System> & system) {return system.value.get();}
-inline System * system_in(const Holder<RunObject> & run) {return run.value->system.get();}
-
-/// Refuse to compute with what another thread computes with, or mark it as computed with.
-inline void check_free(const System * system, const char * function)
-{
-  const std::thread::id worker = system != nullptr ? *system->worker : std::thread::id();
-  if (worker != std::thread::id() && worker != std::this_thread::get_id()) {
-    PyErr_Format(
-      PyExc_RuntimeError, "%s: another thread computes with this simulation or model: give each "
-      "thread its own, or let them wait for one another by a lock", function);
-    throw PythonError();
-  }
-}
-inline void mark(const System * system, bool works)
-{
-  if (system != nullptr) {
-    *system->worker = works ? std::this_thread::get_id() : std::thread::id();
+  if constexpr (type_name<Type> != nullptr) {
+    return *value;
+  } else {
+    return value;
   }
 }
 
-/// Whether a function keeps track of what is evaluated by itself, or leaves it as it is; all others
-/// leave something else in the memory of a system.
-template<auto Function>
-inline constexpr bool keeps_evaluation = false;
-/// Whether a function only reads numbers of a run, which other threads may show while it goes on.
-template<auto Function>
-inline constexpr bool only_reads = false;
-inline void outdate(const System * system)
-{
-  if (system != nullptr) {
-    system->latest->forget();
-  }
-}
+/// Call a function with the system that an argument computes with, if any.
+template<class Visitor, class Value>
+void for_system(Visitor &&, const Value &) {}
+template<class Visitor>
+void for_system(Visitor && visit, System * system) {visit(*system);}
+template<class Visitor>
+void for_system(Visitor && visit, RunObject * run) {visit(*run->system);}
 
 inline PyObject * to_python(bool value) {return PyBool_FromLong(value);}
 inline PyObject * to_python(double value) {return PyFloat_FromDouble(value);}
@@ -438,14 +500,10 @@ PyObject * to_python(const std::pair<First, Second> & value)
 {
   return to_tuple(value.first, value.second);
 }
-/// Hand over an object that has methods.
-template<class Type>
-PyObject * to_python(std::unique_ptr<Type> && object)
+template<std::size_t Count>
+PyObject * to_python(const std::array<Index, Count> & values)
 {
-  Owned made(PyType_GenericAlloc(reinterpret_cast<PyTypeObject *>(type_of<Type>), 0));
-  new (&reinterpret_cast<Holding<Type> *>(made.get())->object)
-    std::unique_ptr<Type>(std::move(object));
-  return made.release();
+  return std::apply([](const auto & ... value) {return to_tuple(value ...);}, values);
 }
 
 inline void set_items(PyObject *) {}
@@ -468,6 +526,20 @@ auto to_python(const Record & record)->decltype(record.names(Ignore{}), static_c
   return found.release();
 }
 
+/// The arrays of an object become a dictionary of views by their names.
+template<class Type>
+struct ViewsOf
+{
+  Type & object;
+};
+template<class Type>
+PyObject * to_python(ViewsOf<Type> of)
+{
+  Owned views(PyDict_New());
+  of.object.arrays(Views(views.get()));
+  return views.release();
+}
+
 /// Call a function for Python: an exception becomes Python's.
 template<class Function>
 PyObject * guarded(Function && function)
@@ -487,167 +559,73 @@ PyObject * guarded(Function && function)
   return nullptr;
 }
 
-/// Releases Python's interpreter lock while a function runs.
-class Released
+/// What a function does beside its results, as bits.
+enum Manner : unsigned
 {
-public:
-  Released()
-  : state_(PyEval_SaveThread()) {}
-  Released(const Released &) = delete;
-  Released & operator=(const Released &) = delete;
-  ~Released() {PyEval_RestoreThread(state_);}
-
-private:
-  PyThreadState * state_;
+  /// It takes long: other threads run, and Ctrl-C interrupts it.
+  RELEASES = 1,
+  /// It keeps track of what is evaluated by itself, or leaves it as it is; all others leave something
+  /// else in the memory of a system.
+  KEEPS = 2,
+  /// It only reads numbers of a run, which other threads may show while it goes on.
+  READS = 4
 };
 
-/// A function whose arguments, or the first of them, are read once.
-class Bound
+/// The type whose method a function is, by its first parameter; nullptr: it is a function.
+template<class Type>
+constexpr PyObject ** owner_of(Type *)
 {
-public:
-  virtual ~Bound() = default;
-  /// Call it with the arguments that are left.
-  virtual PyObject * run(PyObject * const * from, Py_ssize_t count) = 0;
-  void keep(PyObject * object)
-  {
-    Py_IncRef(object);
-    owners.emplace_back(object);
-  }
-
-private:
-  std::vector<Owned> owners;
-};
-
-/// Required shape of an argument, by the system or model, which is the first one: not checked; nq;
-/// nv; nc; ns; 2; (nc, nv); (nv, nv); wrenches and accelerations of all bodies; rows of ns.
-enum class Length
-{
-  ANY, Q, QD, MULTIPLIERS, STATE, PAIR, JACOBIAN, INERTIA, WRENCHES, ROWS_OF_STATE
-};
-
-inline Index coordinates(const System & system) {return system.nq();}
-inline Index coordinates(const Model & model) {return model.coordinates();}
-inline Index states(const System & system) {return system.ns();}
-inline Index states(const Model & model) {return model.coordinates() + model.joints();}
-inline const Model & model_of(const System & system) {return system.model;}
-inline const Model & model_of(const Model & model) {return model;}
-
-template<class First, class Type>
-bool has_length(const First &, Length, const Type &) {return true;}
-template<class First>
-bool has_length(const First & first, Length length, const Values & values)
-{
-  const Model & model = model_of(first);
-  return length == Length::ANY || values.size == (
-    length == Length::Q ? coordinates(first) : length == Length::QD ? model.joints() :
-    length == Length::MULTIPLIERS ? model.equations() :
-    length == Length::PAIR ? 2 : states(first));
+  return type_name<Type> != nullptr ? &type_of<Type> : nullptr;
 }
-template<class First>
-bool has_length(const First & first, Length length, const Table & table)
-{
-  const Model & model = model_of(first);
-  switch (length) {
-    case Length::JACOBIAN:
-      return has_shape(table, model.equations(), model.joints());
-    case Length::INERTIA:
-      return has_shape(table, model.joints(), model.joints());
-    case Length::WRENCHES:
-      return has_shape(table, model.tree.rows, 2 * model.size());
-    default:
-      return length == Length::ANY || table.columns == states(first);
-  }
-}
+constexpr PyObject ** owner_of(std::shared_ptr<System> *) {return &type_of<System>;}
 
-/// A model or a workspace among arguments; nullptr for others, and where it has not been read.
-template<class Object, class Argument>
-const Object * find(const Argument &) {return nullptr;}
-template<class Object>
-const Object * find(const Holder<Object> & holder) {return holder.value.get();}
-
-/// Precondition of a function: a function of all its parameters, or of the first ones, that returns
-/// an error message, or nullptr. The default: no precondition (preconditions.hpp).
-template<auto Function>
-inline constexpr auto precondition = nullptr;
-
-template<class Class, class ... Parameters>
-constexpr Py_ssize_t count_parameters(const char * (Class::*)(Parameters...) const)
-{
-  return sizeof...(Parameters);
-}
-
-template<auto Function, bool Releases, Length ... lengths>
+template<auto Function, unsigned manner>
 struct Kernel;
 
-template<
-  class Result, class ... Parameters, Result(*Function)(Parameters...), bool Releases,
-  Length ... lengths>
-struct Kernel<Function, Releases, lengths...>: Bound
+template<class Result, class ... Parameters, Result(*Function)(Parameters...), unsigned manner>
+struct Kernel<Function, manner>: Bound
 {
-  std::tuple<Holder<std::decay_t<Parameters>>...> arguments;
-
+  inline static Signature::Head head = "()";
   static constexpr Py_ssize_t parameters = sizeof...(Parameters);
-  const char * name = "";
+
+  std::tuple<Taken<std::decay_t<Parameters>>...> arguments;
+  Reading reading{head};
   /// Arguments that were read once.
   Py_ssize_t bound = 0;
 
-  /// Read arguments for the parameters from `first` on.
-  void take(PyObject * const * from, Py_ssize_t first, Py_ssize_t count)
+  static constexpr PyObject ** owner()
   {
-    if (first + count > parameters) {
-      refuse(count);
-    }
-    if (count == 0) {
-      return;
-    }
-    std::apply(
-      [&](auto & ... holder) {
-        Py_ssize_t n = 0;
-        ((n >= first && n < first + count ? holder.take(from[n - first], {name, n + 1}) : void(),
-        ++n), ...);
-      }, arguments);
-    if constexpr ((std::is_same_v<std::decay_t<Parameters>, Workspace> || ...)) {
-      check_machine();
-    }
-    if constexpr (sizeof...(lengths) > 0) {
-      check_lengths(
-        static_cast<std::size_t>(first + count), std::index_sequence_for<Parameters...>{});
-    }
-    using Precondition = std::remove_cv_t<decltype(precondition<Function>)>;
-    if constexpr (!std::is_null_pointer_v<Precondition>) {
-      constexpr Py_ssize_t parameters = count_parameters(&Precondition::operator());
-      // Once: when the last of these arguments is read.
-      if (first < parameters && first + count >= parameters) {
-        check_together(std::make_index_sequence<parameters>{});
-      }
+    if constexpr (parameters == 0) {
+      return nullptr;
+    } else {
+      return owner_of(
+        static_cast<std::decay_t<std::tuple_element_t<0, std::tuple<Parameters...>>> *>(nullptr));
     }
   }
 
-  void refuse(Py_ssize_t count) const
+  /// Read the next arguments, for good.
+  void take(PyObject * const * from, Py_ssize_t count)
   {
-    PyErr_Format(
-      PyExc_TypeError, "%s: expected %zd arguments, got %zd", name, parameters - bound, count);
-    throw PythonError();
-  }
-
-  Result call()
-  {
-    return std::apply([](auto & ... holder) {return Function(holder.get() ...);}, arguments);
+    if (bound + count > parameters) {
+      refuse_count(count);
+    }
+    read_next(from, count);
+    bound += count;
+    reading.keep();
   }
 
   PyObject * run(PyObject * const * from, Py_ssize_t count) override
   {
     if (bound + count != parameters) {
-      refuse(count);
+      refuse_count(count);
     }
-    take(from, bound, count);
+    if (count > 0) {
+      reading.go_back();
+      read_next(from, count);
+    }
     if constexpr (std::is_void_v<Result>) {
       release_and_call();
-      if (PyErr_Occurred() != nullptr) {
-        return nullptr;
-      }
-      Py_IncRef(&_Py_NoneStruct);
-      return &_Py_NoneStruct;
+      return PyErr_Occurred() != nullptr ? nullptr : none();
     } else {
       Result result = release_and_call();
       return PyErr_Occurred() != nullptr ? nullptr : to_python(std::move(result));
@@ -655,96 +633,100 @@ struct Kernel<Function, Releases, lengths...>: Bound
   }
 
 private:
-  /// Refuse a workspace that is not one of the model beside it.
-  void check_machine()
+  [[noreturn]] void refuse_count(Py_ssize_t count) const
   {
-    const Model * model = nullptr;
-    const Workspace * work = nullptr;
+    refuse(
+      PyExc_TypeError, std::string(reading.function()) + ": expected " +
+      std::to_string(parameters - bound) + " arguments, got " + std::to_string(count));
+  }
+
+  void read_next(PyObject * const * from, Py_ssize_t count)
+  {
     std::apply(
-      [&](const auto & ... holder) {
-        ((model = model != nullptr ? model : find<Model>(holder)), ...);
-        ((work = work != nullptr ? work : find<Workspace>(holder)), ...);
+      [&](auto & ... value) {
+        Py_ssize_t n = 0;
+        (read_one(value, from, n++ - bound, count), ...);
       }, arguments);
-    if (model != nullptr && work != nullptr && !(work->fits(*model) && model->is_connected())) {
-      PyErr_Format(
-        PyExc_ValueError, "%s: expected a model whose joints have code, and a workspace of it",
-        name);
-      throw PythonError();
+  }
+  template<class Value>
+  void read_one(Value & value, PyObject * const * from, Py_ssize_t n, Py_ssize_t count)
+  {
+    if (n >= 0 && n < count) {
+      // The object of a method is not in the text.
+      if (owner() == nullptr || bound + n > 0) {
+        reading.next();
+      }
+      read(from[n], value, reading);
     }
   }
 
-  template<std::size_t ... Places>
-  void check_together(std::index_sequence<Places...>)
+  Result call()
   {
-    const char * found = precondition<Function>(std::get<Places>(arguments).get() ...);
-    if (found != nullptr) {
-      PyErr_Format(PyExc_ValueError, "%s: %s", name, found);
-      throw PythonError();
-    }
-  }
-
-  template<std::size_t ... Places>
-  void check_lengths(std::size_t read, std::index_sequence<Places...>)
-  {
-    if (read == 0) {
-      return;
-    }
-    constexpr std::size_t count = sizeof...(lengths) + 1;
-    constexpr Length wanted[count] = {Length::ANY, lengths ...};
-    const auto & first = std::get<0>(arguments).get();
-    const auto check = [&](std::size_t place, const auto & value) {
-        if (place < count && place < read && !has_length(first, wanted[place], value)) {
-          PyErr_Format(
-            PyExc_ValueError, "%s, argument %zd: expected the shape that the mechanism asks "
-            "for (coordinates %zd, rates %zd, equations %zd, state %zd)", name, static_cast<Py_ssize_t>(place) + 1,
-            static_cast<Py_ssize_t>(coordinates(first)),
-            static_cast<Py_ssize_t>(model_of(first).joints()),
-            static_cast<Py_ssize_t>(model_of(first).equations()),
-            static_cast<Py_ssize_t>(states(first)));
-          throw PythonError();
-        }
-      };
-    (check(Places, std::get<Places>(arguments).get()), ...);
+    return std::apply(
+      [](auto & ... value) {return Function(pass<std::decay_t<Parameters>>(value) ...);}, arguments);
   }
 
   Result release_and_call()
   {
     // Under the interpreter lock, so that no other thread comes in between.
-    if constexpr (!only_reads<Function>) {
-      std::apply([&](auto & ... holder) {(check_free(system_in(holder), name), ...);}, arguments);
+    if constexpr ((manner & READS) == 0) {
+      for_systems([&](const System & system) {check_free(system);});
     }
-    if constexpr (!keeps_evaluation<Function> && !only_reads<Function>) {
-      std::apply([](auto & ... holder) {(outdate(system_in(holder)), ...);}, arguments);
+    if constexpr ((manner & (KEEPS | READS)) == 0) {
+      for_systems([](const System & system) {system.latest->forget();});
     }
-    if constexpr (Releases) {
-      const Working working(arguments);
-      const Released released;
+    if constexpr ((manner & RELEASES) != 0) {
+      const Released released(*this);
       return call();
     } else {
       return call();
     }
   }
+  template<class Visitor>
+  void for_systems(Visitor && visit)
+  {
+    std::apply([&](auto & ... value) {(for_system(visit, value), ...);}, arguments);
+  }
 
-  /// Marks systems as computed with while it lives.
-  class Working
+  /// Refuse to compute with what another thread computes with.
+  void check_free(const System & system) const
+  {
+    if (*system.worker != std::thread::id() && *system.worker != std::this_thread::get_id()) {
+      refuse(
+        PyExc_RuntimeError, std::string(reading.function()) + ": another thread computes with this "
+        "simulation or model: give each thread its own, or let them wait for one another by a lock");
+    }
+  }
+
+  /// Marks systems as computed with, and releases Python's interpreter lock, while it lives.
+  class Released
   {
 public:
-    explicit Working(decltype(arguments) & arguments)
-    : arguments_(arguments) {set(true);}
-    Working(const Working &) = delete;
-    Working & operator=(const Working &) = delete;
-    ~Working() {set(false);}
+    explicit Released(Kernel & kernel)
+    : kernel_(kernel)
+    {
+      mark(std::this_thread::get_id());
+      state_ = PyEval_SaveThread();
+    }
+    Released(const Released &) = delete;
+    Released & operator=(const Released &) = delete;
+    ~Released()
+    {
+      PyEval_RestoreThread(state_);
+      mark({});
+    }
 
 private:
-    void set(bool works)
+    void mark(std::thread::id worker)
     {
-      std::apply([&](auto & ... holder) {(mark(system_in(holder), works), ...);}, arguments_);
+      kernel_.for_systems([&](const System & system) {*system.worker = worker;});
     }
-    decltype(arguments) & arguments_;
+    Kernel & kernel_;
+    PyThreadState * state_;
   };
 };
 
-/// Methods of a run for Python: as they are, on its system, or on its system in its state.
+/// Methods as functions; those of a run as they are, on its system, or on its system in its state.
 template<auto Method>
 struct Of;
 template<auto Method>
@@ -752,12 +734,17 @@ struct On;
 template<auto Method>
 struct In;
 
-template<class Result, class ... Parameters, Result (Run::* Method)(Parameters...)>
+inline Run & self(RunObject & of) {return of.run;}
+template<class Class>
+Class & self(Class & of) {return of;}
+
+template<class Class, class Result, class ... Parameters, Result (Class::* Method)(Parameters...)>
 struct Of<Method>
 {
-  static Result call(RunObject & of, Parameters... parameters)
+  using Self = std::conditional_t<std::is_same_v<Class, Run>, RunObject, Class>;
+  static Result call(Self & of, Parameters... parameters)
   {
-    return (of.run.*Method)(parameters ...);
+    return (self(of).*Method)(parameters ...);
   }
 };
 template<
@@ -783,69 +770,38 @@ struct In<Method>
 /// A function as Python's tables and `bind` see it.
 struct Entry
 {
-  const char * name;
-  const char * doc;
+  std::string name;
+  const char * text;
   PyObject * (*call)(PyObject *, PyObject * const *, Py_ssize_t);
-  std::unique_ptr<Bound> (*bind)(PyObject * const *, Py_ssize_t, const char * name);
+  std::shared_ptr<Bound> (*bind)(PyObject * const *, Py_ssize_t);
   /// The type that it is a method of; nullptr: it is a function.
   PyObject ** owner;
 };
 
-template<class First, class ... Rest>
-constexpr PyObject ** owner_of(std::tuple<First, Rest...> *)
+/// A function of Python by its text (signature.hpp).
+template<auto Function, unsigned manner = 0>
+Entry entry(const char * text)
 {
-  return has_methods<First> ? &type_of<First> : nullptr;
-}
-constexpr PyObject ** owner_of(std::tuple<> *) {return nullptr;}
-template<class Result, class ... Parameters>
-constexpr PyObject ** owner_of(Result (*)(Parameters...))
-{
-  return owner_of(static_cast<std::tuple<std::decay_t<Parameters>...> *>(nullptr));
-}
-
-/// The name under which a function is called, for messages.
-template<auto Function>
-inline const char * name_of = "";
-
-template<auto Function, bool Releases, Length ... lengths>
-Entry make_entry(const char * doc)
-{
-  // The text begins with it, and its arguments follow.
-  static const std::string name(doc, std::strcspn(doc, "("));
-  name_of<Function> = name.c_str();
+  using Made = Kernel<Function, manner>;
+  Made::head = text;
   return {
-    name.c_str(), doc,
+    std::string(text, Made::head.length), text,
     [](PyObject * self, PyObject * const * from, Py_ssize_t count) {
       return guarded(
         [&] {
-          Kernel<Function, Releases, lengths...> kernel;
-          kernel.name = name_of<Function>;
-          kernel.bound = owner_of(Function) != nullptr ? 1 : 0;
-          kernel.take(&self, 0, kernel.bound);
+          Made kernel;
+          kernel.take(&self, Made::owner() != nullptr ? 1 : 0);
           return kernel.run(from, count);
         });
     },
-    [](PyObject * const * from, Py_ssize_t count, const char * of) -> std::unique_ptr<Bound> {
-      auto kernel = std::make_unique<Kernel<Function, Releases, lengths...>>();
-      kernel->name = of;
-      kernel->take(from, 0, count);
-      kernel->bound = count;
+    [](PyObject * const * from, Py_ssize_t count) -> std::shared_ptr<Bound> {
+      auto kernel = std::make_shared<Made>();
+      kernel->take(from, count);
+      for (Py_ssize_t n = 0; n < count; ++n) {
+        kernel->keep(from[n]);
+      }
       return kernel;
-    }, owner_of(Function)};
-}
-
-/// A function of Python; `lengths`: of the arguments behind the first one, a system or a model.
-template<auto Function, Length ... lengths>
-Entry entry(const char * doc)
-{
-  return make_entry<Function, false, lengths...>(doc);
-}
-
-/// The same for a long computation: other threads run, and Ctrl-C interrupts it.
-template<auto Function, Length ... lengths>
-Entry released(const char * doc)
-{
-  return make_entry<Function, true, lengths...>(doc);
+    }, Made::owner()};
 }
 
 }  // namespace closedloop

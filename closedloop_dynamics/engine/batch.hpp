@@ -45,8 +45,10 @@ struct Batch
   template<class Visitor>
   void fields(Visitor && visit)
   {
-    visit(table, tau, qdd, closure, corrections, tolerance, limit, error, manifold, rates, gaps,
-      trials, energies, response, friction);
+    visit(
+      "table, tau, qdd, closure, corrections, tolerance, limit, error, manifold, rates, gaps, "
+      "trials, energies, response, friction", table, tau, qdd, closure, corrections, tolerance,
+      limit, error, manifold, rates, gaps, trials, energies, response, friction);
   }
 };
 
@@ -57,7 +59,7 @@ struct Lane
   const Run * run = nullptr;
 
   template<class Visitor>
-  void fields(Visitor && visit) {visit(system, run);}
+  void fields(Visitor && visit) {visit("system, run", system, run);}
 };
 
 /// Make whole runs of fixed steps of all lanes; arguments as of `run_samples`, `state` of shape

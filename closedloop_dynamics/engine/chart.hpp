@@ -36,8 +36,10 @@ struct Chart
   void fields(Visitor && visit)
   {
     visit(
-      independent, dependent, parameters, closure, factors, pivots, right, several, displacement,
-      place, seed);
+      "independent<V[k=V-C], dependent<V[C], parameters[entries<=results/8-Q-2*V,p], "
+      "closure[V+p,2*C], factors[C,C], pivots[C], right[C], several[C,k+p], displacement[V], "
+      "place[Q], seed[8*(Q+2*V+entries)]", independent, dependent, parameters, closure, factors,
+      pivots, right, several, displacement, place, seed);
   }
 };
 

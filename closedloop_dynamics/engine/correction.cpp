@@ -6,6 +6,7 @@
 #include <algorithm>
 #include <cmath>
 #include <initializer_list>
+#include <stdexcept>
 
 namespace closedloop
 {
@@ -65,6 +66,9 @@ bool correct_errors(
   Values change, Table after)
 {
   const Index m = slope.rows, n = slope.columns;
+  if (!(first[0] == 0 && first[gate.size] == m && std::is_sorted(first.begin(), first.end()))) {
+    throw std::invalid_argument("correct_errors: expected the numbers of the sensors in turn");
+  }
   const auto all = {whitened, Table{white.data, m, 1}, others};
   whitened.fill(0.0);
   for (Index i = 0; i < m; ++i) {

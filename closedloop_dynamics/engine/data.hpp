@@ -100,7 +100,7 @@ struct AccelerationDerivatives
   bool empty() const {return table.size == 0 || table[0] == 0;}
 
   template<class Visitor>
-  void fields(Visitor && visit) {visit(table, columns, found, flows);}
+  void fields(Visitor && visit) {visit("table, columns, found, flows", table, columns, found, flows);}
 };
 
 /// The state and torques that the host has evaluated last, as long as nothing else is computed in the

@@ -207,7 +207,8 @@ struct EffectElement
   void fields(Visitor && visit)
   {
     visit(
-      role, routine, joints, bodies, equation, values, numbers, entries, scale, initial, summed,
+      "role, routine, joints, bodies, equation, values, numbers, entries, scale, initial, summed, "
+      "loaded, gap, enabled", role, routine, joints, bodies, equation, values, numbers, entries, scale, initial, summed,
       loaded, gap, enabled);
   }
 };

@@ -7,6 +7,7 @@
 
 #include <algorithm>
 #include <cmath>
+#include <stdexcept>
 
 #include "interrupt.hpp"
 #include "loop_closure.hpp"
@@ -47,6 +48,34 @@ double most(const DenseVector & values)
 Place place(const double * from) {return {from[0], from[1], from[2]};}
 }  // namespace
 
+void Loops::check(const Manifold & manifold) const
+{
+  if (!manifold.empty() && !std::all_of(
+      measured.begin(), measured.end(),
+      [&](Index freedom) {return manifold.place[freedom] >= 0;}))
+  {
+    throw std::invalid_argument("loops: expected to measure freedoms of a number each");
+  }
+}
+
+void Far::check(const Model & model) const
+{
+  bool good = true;
+  for (Index a = 0; good && a < axes.size; ++a) {
+    good = axes[model.cut(a, cut::NUMBER)] == axis::NO_AXIS || (
+      model.size() == 6 && model.cut(a, cut::TYPE) < cut::COUPLING);
+  }
+  for (Index k = 0; good && k < limits.rows; ++k) {
+    good = limits(k, 0) >= 0.0 && limits(k, 1) >= 0.0 &&
+      limits(k, 0) < static_cast<double>(model.coordinates()) &&
+      limits(k, 1) < static_cast<double>(model.joints()) && limits(k, 2) <= limits(k, 3);
+  }
+  if (!good) {
+    throw std::invalid_argument(
+            "a search: expected axes of cut joints in space, and limits of coordinates");
+  }
+}
+
 LoopSolver::LoopSolver(
   const Model & model, const Workspace & work, const Manifold & manifold, const Loops & loops,
   const Far & far)
@@ -57,6 +86,8 @@ LoopSolver::LoopSolver(
   change_(DenseVector::Zero(model.joints())), ahead_(DenseVector::Zero(loops.free.size)),
   all_slopes_(model.equations(), model.joints())
 {
+  loops.check(manifold);
+  far.check(model);
 }
 
 void LoopSolver::move_to(const DenseVector & q, const DenseVector & qd)

@@ -35,8 +35,12 @@ struct Loops
   template<class Visitor>
   void fields(Visitor && visit)
   {
-    visit(places, rows, free, tolerance, least, limit, weight, measured, values);
+    visit(
+      "places[C], rows<C[r], free<V, tolerance, least, limit, weight[0|V], measured<V[m], values[m]",
+      places, rows, free, tolerance, least, limit, weight, measured, values);
   }
+  /// Throws std::invalid_argument.
+  void check(const Manifold &) const;
 };
 
 /// What a search from far away asks for beyond closure equations, which are sines of angles:
@@ -52,7 +56,13 @@ struct Far
   bool empty() const {return unit.data == nullptr;}
 
   template<class Visitor>
-  void fields(Visitor && visit) {visit(unit, scale, axes, limits, target);}
+  void fields(Visitor && visit)
+  {
+    visit(
+      "unit[C], scale[V], axes<4[K], limits[l,4], target[0|C+K+l]", unit, scale, axes, limits, target);
+  }
+  /// Throws std::invalid_argument.
+  void check(const Model &) const;
 };
 
 /// Axes of both bodies that a cut joint keeps parallel.

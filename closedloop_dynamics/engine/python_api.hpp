@@ -125,15 +125,11 @@ extern PyObject _Py_NoneStruct;
 
 PyObject *PyBool_FromLong(long);
 void PyBuffer_Release(Py_buffer *);
-void *PyCapsule_GetPointer(PyObject *, const char *);
-int PyCapsule_IsValid(PyObject *, const char *);
-PyObject *PyCapsule_New(void *, const char *, void (*)(PyObject *));
 PyObject *PyDict_New();
 int PyDict_SetItemString(PyObject *, const char *, PyObject *);
 PyObject *PyCMethod_New(PyMethodDef *, PyObject *, PyObject *, PyTypeObject *);
 int PyErr_CheckSignals();
 void PyErr_Clear();
-PyObject *PyErr_Format(PyObject *, const char *, ...);
 PyObject *PyErr_Occurred();
 void PyErr_SetString(PyObject *, const char *);
 void PyEval_RestoreThread(PyThreadState *);

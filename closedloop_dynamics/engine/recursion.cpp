@@ -206,12 +206,13 @@ void wrenches_of_multipliers(
   shift_to_joints(model, work, wrench);
 }
 
-void cut_wrenches(const Model & model, Table body, Values lam, Values share, Table out)
+void cut_wrenches(
+  const Model & model, const Workspace & work, Table body, Values lam, Table out)
 {
   for (Index a = 0; a < out.rows; ++a) {
-    wrenches_of_cut(model, body, lam, share, a);
+    wrenches_of_cut(model, body, lam, work.share, a);
     for (Index n = 0; n < out.columns; ++n) {
-      out(model.cut(a, cut::NUMBER), n) = share[n];
+      out(model.cut(a, cut::NUMBER), n) = work.share[n];
     }
   }
 }

@@ -50,9 +50,10 @@ bool carries(Indexes cut, Values lam, Index a);
 void wrenches_of_cut(
   const Model &, Table body, Values lam, Values share, Index a);
 
-/// Wrenches at the cut joints, shape (number of cuts, 3 or 6), in the user's order.
+/// Wrenches at the cut joints, shape (number of cuts, 3 or 6), in the user's order; of `body`, as
+/// Workspace.body, only poses are read.
 void cut_wrenches(
-  const Model &, Table body, Values lam, Values share, Table out);
+  const Model &, const Workspace &, Table body, Values lam, Table out);
 
 /// Joint torques of the tree alone for given accelerations, shape (nv,).
 void tree_torque(const Model &, const Workspace &, Values qdd, Values out);

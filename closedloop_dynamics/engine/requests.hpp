@@ -26,7 +26,12 @@ struct Request
   Values held;
 
   template<class Visitor>
-  void fields(Visitor && visit) {visit(state, own, torque, actuated, lam, held);}
+  void fields(Visitor && visit)
+  {
+    visit(
+      "state[>=S], own[Z], torque[n], -1<=actuated<T[n], lam[0|A], held[T]", state, own, torque,
+      actuated, lam, held);
+  }
 };
 
 /// Whether a state that was evaluated closes the loops, in its rates, too, as far as a step has to.

@@ -53,7 +53,7 @@ void record(const System & system, Values state, const RunBuffer & buffer, Index
     output(row, 0) = system.effects.output(row, effect::STORED);
     output(row, 1) = system.effects.output(row, 1);
   }
-  cut_wrenches(system.model, work.body, system.lam, work.share, buffer.wrench[instant]);
+  cut_wrenches(system.model, work, work.body, system.lam, buffer.wrench[instant]);
   place_points(work.body, buffer.body, buffer.point, buffer.place[instant]);
 }
 

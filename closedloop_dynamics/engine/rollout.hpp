@@ -27,7 +27,10 @@ struct RunBuffer
   template<class Visitor>
   void fields(Visitor && visit)
   {
-    visit(state, qdd, lam, scalars, output, wrench, body, point, place);
+    visit(
+      "state[instants<=rows*zero_order_hold/decimation+1,S], qdd[count=0|instants,V], lam[count,C], "
+      "scalars[count,3], output[count,E,2], wrench[count,K,W], body<B[n], point[n,P], "
+      "place[count,n,P]", state, qdd, lam, scalars, output, wrench, body, point, place);
   }
 };
 

@@ -4,6 +4,8 @@
 #ifndef CLOSEDLOOP_DYNAMICS__ENGINE__ROUTINES_HPP_
 #define CLOSEDLOOP_DYNAMICS__ENGINE__ROUTINES_HPP_
 
+#include <stdexcept>
+
 #include "array.hpp"
 
 // The one calling convention to generated code: addresses are numbers in tables.
@@ -18,6 +20,16 @@ inline void call_joint_kernel(
 {
   using Kernel = Index (*)(const double *, double *, double *, double *, double *);
   reinterpret_cast<Kernel>(address)(constant, own, other, first, second);
+}
+
+/// Throws std::invalid_argument where a table lacks one of some routines.
+inline void require_routines(Indices table, Index first, Index count)
+{
+  for (Index n = first; n < first + count; ++n) {
+    if (table[n] == 0) {
+      throw std::invalid_argument("expected addresses of routines");
+    }
+  }
 }
 
 /// Call a routine generated for a mechanism; return whether its results are good.

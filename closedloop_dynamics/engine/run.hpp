@@ -50,8 +50,10 @@ struct GuardLimits
   template<class Visitor>
   void fields(Visitor && visit)
   {
-    visit(step_size, order, first, rarely, call, whole, chooses, most, closure, regular, extent,
-      mass, usual, timed);
+    visit(
+      "step_size, order, first, rarely, call, whole, chooses, most, closure, regular, extent, mass, "
+      "usual, timed", step_size, order, first, rarely, call, whole, chooses, most, closure, regular,
+      extent, mass, usual, timed);
   }
 };
 

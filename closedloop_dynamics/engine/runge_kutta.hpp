@@ -27,7 +27,7 @@ struct Tableau
   Index steps() const {return b.size;}
 
   template<class Visitor>
-  void fields(Visitor && visit) {visit(a, b, error, dense, order, error_order);}
+  void fields(Visitor && visit) {visit("a, b, error, dense, order, error_order", a, b, error, dense, order, error_order);}
 };
 
 /// A tableau that owns its numbers; refuses arrays that do not fit together, as

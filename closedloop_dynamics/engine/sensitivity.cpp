@@ -4,6 +4,7 @@
 #include "sensitivity.hpp"
 
 #include <algorithm>
+#include <stdexcept>
 
 #include "evaluation.hpp"
 #include "interrupt.hpp"
@@ -386,9 +387,22 @@ Indices LaneRoutines::prepare(Index which, Values q, Values qd) const
   return {};
 }
 
+void check(const System & system, const SteppedRun & run, const Tape & tape)
+{
+  if (!(fits(run.tableau) && run.stages() == tape.stage.rows && system.is_unrolled() &&
+    !system.is_independent() && (run.stabilisation == Stabilisation::NONE ||
+    run.stabilisation == Stabilisation::VELOCITY ||
+    run.stabilisation == Stabilisation::PROJECTION)))
+  {
+    throw std::invalid_argument(
+            "expected a run by steps of one size, of a system with routines of its own, and its tape");
+  }
+}
+
 std::pair<Status, Index> record_steps(
   const System & system, const SteppedRun & run, Table scratch, const Tape & tape)
 {
+  check(system, run, tape);
   const Index ns = system.ns(), nv = system.nv(), stages = run.stages();
   const Values out = scratch[stages];
   Interrupt interrupt(system.interrupted, nv);
@@ -433,6 +447,7 @@ std::pair<Status, Index> change_of_steps(
   const System & system, const SteppedRun & run, Table scratch, const Tape & tape,
   const StepRoutines & routines, const RunInputs & change, Table out)
 {
+  check(system, run, tape);
   Forward walk(system, run, scratch, tape, routines, change);
   Interrupt interrupt(system.interrupted, system.nv());
   copy(walk.now(), out[0]);
@@ -454,6 +469,7 @@ std::pair<Status, Index> gradient_of_steps(
   const System & system, const SteppedRun & run, Table scratch, const Tape & tape,
   const StepRoutines & routines, Table weight, const RunInputs & gradient)
 {
+  check(system, run, tape);
   Reverse walk(system, run, scratch, tape, routines, gradient);
   Interrupt interrupt(system.interrupted, system.nv());
   for (Index left = tape.steps(); left > 0; --left) {

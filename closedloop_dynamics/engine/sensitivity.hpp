@@ -37,7 +37,9 @@ struct SteppedRun
   template<class Visitor>
   void fields(Visitor && visit)
   {
-    visit(tableau, stabilisation, step_size, zero_order_hold, decimation, torque);
+    visit(
+      "tableau, stabilisation, step_size, zero_order_hold>=1, decimation>=1, torque[rows,T]",
+      tableau, stabilisation, step_size, zero_order_hold, decimation, torque);
   }
 };
 
@@ -53,7 +55,13 @@ struct Tape
   Index steps() const {return corrections.size;}
 
   template<class Visitor>
-  void fields(Visitor && visit) {visit(state, stage, raw, corrections);}
+  void fields(Visitor && visit)
+  {
+    visit(
+      "state[instants>=2<=rows*zero_order_hold+1,S], "
+      "stage[instants-1,stages<=scratch_rows-20,S+V+C], raw[instants-1,S], "
+      "corrections<9[instants-1]", state, stage, raw, corrections);
+  }
 };
 
 /// The routines of core/codegen/sensitivities.py, and the arrays that they work on.
@@ -66,7 +74,12 @@ struct StepRoutines
   Values result;  ///< Shape (nq + 2 nv + np,), or longer
 
   template<class Visitor>
-  void fields(Visitor && visit) {visit(table, qdd, lam, seed, result);}
+  void fields(Visitor && visit)
+  {
+    visit(
+      "table[>=52], qdd[V], lam[C], seed[seeds>=Q+2*V], result[>=seeds]", table, qdd, lam, seed,
+      result);
+  }
 };
 
 /// The same routines for LANES directions or weights side by side, number k of lane n at k LANES + n.
@@ -82,7 +95,10 @@ struct LaneRoutines
   Indices prepare(Index which, Values q, Values qd) const;
 
   template<class Visitor>
-  void fields(Visitor && visit) {visit(table, shared, result);}
+  void fields(Visitor && visit)
+  {
+    visit("table[t>=55=t/55*55], shared, result[results>=16*C]", table, shared, result);
+  }
 };
 
 /// Changes or weights of the inputs of a run.
@@ -93,7 +109,12 @@ struct RunInputs
   Values parameter;  ///< Shape (np,)
 
   template<class Visitor>
-  void fields(Visitor && visit) {visit(start, torque, parameter);}
+  void fields(Visitor && visit)
+  {
+    visit(
+      "start[Q+V], torque[>=(instants-2)/zero_order_hold+1,V], parameter[seeds-Q-2*V]", start, torque,
+      parameter);
+  }
 };
 
 /// Places of the routines in their table, and its length; that of routines in lanes.
@@ -109,6 +130,13 @@ enum : Index
 /// Rows of a scratch beside one for each stage: two for each correction of positions, and four.
 constexpr Index SCRATCH_ROWS = 20;
 static_assert(SCRATCH_ROWS == 2 * MOST_POSITION_CORRECTIONS + 4);
+// What signatures of records say in numbers, here and in chart.hpp and state_steps.hpp.
+static_assert(
+  step_routine::TABLE_COLUMNS == 52 && step_routine::LANE_COLUMNS == 55 && SCRATCH_ROWS == 20 &&
+  MOST_POSITION_CORRECTIONS == 8 && LANES == 8);
+
+/// Throws std::invalid_argument where a system cannot make such a run, or a tape is not one of it.
+void check(const System &, const SteppedRun &, const Tape &);
 
 /// Make a run from the first state of its tape. `scratch` is of shape (>= stages + SCRATCH_ROWS, ns).
 /// Returns how it ended and the steps completed, -1 where the first state leaves the loops open.

@@ -89,6 +89,7 @@ std::pair<Status, Index> step_states(
   const StepRoutines & routines, const LaneRoutines & beside, const Chart & chart,
   const StateSteps & steps)
 {
+  check(system, run, tape);
   const Values start = tape.state[0], end = tape.state[tape.steps()], tau = run.torque[0];
   for (Index n = 0; n < steps.states(); ++n) {
     copy(steps.q[n], system.q(start));

@@ -14,6 +14,18 @@
 namespace closedloop
 {
 
+/// Gradients by the inputs of a run of one row of torques, in as many lanes as there are changes.
+struct WideInputs : RunInputs
+{
+  template<class Visitor>
+  void fields(Visitor && visit)
+  {
+    visit(
+      "start[(2*k+7)/8*8*(Q+V)], torque[1,(2*k+7)/8*8*V], parameter[(2*k+7)/8*8*entries]", start,
+      torque, parameter);
+  }
+};
+
 /// States before and after a period, a row or page for each (integration/stepped_run.py).
 struct StateSteps
 {
@@ -31,7 +43,7 @@ struct StateSteps
   /// adjoint, weights at the end, shape (lanes (nq + nv),), and gradients.
   Table wide;
   Values weight;
-  RunInputs gradient;
+  WideInputs gradient;
 
   Index states() const {return q.rows;}
   Index lanes() const {return (by_state.rows + LANES - 1) / LANES * LANES;}
@@ -40,8 +52,11 @@ struct StateSteps
   void fields(Visitor && visit)
   {
     visit(
-      q, qd, torque, actuated, next_q, next_qd, by_state, by_torque, by_parameter, basis, wide,
-      weight, gradient);
+      "q[n,Q], qd[n,V], torque[n,a], actuated<V[a], next_q[n,Q], next_qd[n,V], "
+      "by_state[pages=0|n,2*k,2*k], by_torque[pages,2*k,a], by_parameter[pages,2*k,p], "
+      "basis[pages,2*V,2*k+p], wide[>=stages+2,(2*k+7)/8*8*(Q+V)], weight[(2*k+7)/8*8*(Q+V)], "
+      "gradient", q, qd, torque, actuated, next_q, next_qd, by_state, by_torque, by_parameter, basis,
+      wide, weight, gradient);
   }
 };
 

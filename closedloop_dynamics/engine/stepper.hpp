@@ -146,7 +146,12 @@ struct MethodOptions
   double tolerance = 0.0;
 
   template<class Visitor>
-  void fields(Visitor && visit) {visit(tableau, short_tableau, stabilisation, tolerance);}
+  void fields(Visitor && visit)
+  {
+    visit(
+      "tableau?, short_tableau?, stabilisation, tolerance", tableau, short_tableau, stabilisation,
+      tolerance);
+  }
 };
 
 /// Build a method by its name, one of: fixed, explicit, auto, rodas4_fixed, rodas4.

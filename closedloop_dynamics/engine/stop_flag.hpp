@@ -6,9 +6,9 @@
 
 #include <atomic>
 #include <memory>
-#include <stdexcept>
+#include <utility>
 
-#include "arguments.hpp"
+#include "array.hpp"
 
 namespace closedloop
 {
@@ -41,38 +41,18 @@ inline bool is_stopped()
   return false;
 }
 
-inline void set_stop(const SharedStop & flag, Index stops)
-{
-  if (flag == nullptr || (stops != 0 && stops != 1)) {
-    throw std::invalid_argument("expected a flag, and 0 or 1 as whether to stop");
-  }
-  flag->stops = stops == 1;
-}
+inline void set_stop(StopFlag & flag, Index stops) {flag.stops = stops == 1;}
 
 inline SharedStop stop_flag(Index stops)
 {
   auto made = std::make_shared<StopFlag>();
   made->outer = heeded_stop();
-  set_stop(made, stops);
+  set_stop(*made, stops);
   return made;
 }
 
 /// Make this thread heed a flag, or none, from now on; returns what it heeded before.
 inline SharedStop heed(const SharedStop & flag) {return std::exchange(heeded_stop(), flag);}
-
-inline void read(PyObject * from, SharedStop & to, Place place)
-{
-  to = from == &_Py_NoneStruct ? nullptr : object_in<SharedStop>(from, place);
-}
-
-inline PyObject * to_python(const SharedStop & flag)
-{
-  if (flag == nullptr) {
-    Py_IncRef(&_Py_NoneStruct);
-    return &_Py_NoneStruct;
-  }
-  return to_python(std::make_unique<SharedStop>(flag));
-}
 
 }  // namespace closedloop
 

@@ -8,7 +8,6 @@ from typing import NamedTuple
 import numpy as np
 
 from .system import number_of_states
-from ..engine import native
 
 
 class RunBuffer(NamedTuple):
@@ -36,7 +35,7 @@ def run_samples(make, start, torque, schedule):
     """
     Make whole runs, one after the other, all from the start of one.
 
-    ``make`` is ``native.run_samples`` of a system and a run, which is left as it is; ``start``,
+    ``make`` is ``run_samples`` of a run, which is left as it is; ``start``,
     shape (n, ns): the state of each, or one for all; ``torque``, shape (n or 1, rows, nv) [N m or
     N]; ``schedule``: steps that a row acts for, from one instant to the next, and in all.
 
@@ -79,7 +78,7 @@ def joint_forces(system, torque, zero_order_hold, decimation, state, qdd, lam):
     shapes (instants, nv) and (instants, nc). The system's workspace is overwritten.
     """
     out = np.empty((*qdd.shape, system.work.wrench.shape[1]))
-    native.fill_joint_forces(
-        system.native, torque, zero_order_hold, decimation, state, qdd, lam,
-        np.zeros_like(system.work.force), out)
+    system.native.fill_joint_forces(
+        torque, zero_order_hold, decimation, state, qdd, lam, np.zeros_like(system.work.force),
+        out)
     return out

@@ -67,8 +67,8 @@ class Run(SimpleNamespace):
             integrator.tableau, DOPRI5, STABILISATIONS[method.stabilisation],
             method.accuracy if method.integrator == AUTO else method.tolerance)
         self.guard_limits = guard_limits
-        self.native = native.run(
-            system.native, state, integrator.stepper, options, guard_limits, roles, windings)
+        self.native = system.native.run(
+            state, integrator.stepper, options, guard_limits, roles, windings)
         for name in dir(native.Run):
             if not name.startswith('_') and not hasattr(Run, name):
                 setattr(self, name, getattr(self.native, name))

@@ -19,11 +19,11 @@ class StopFlag:
 
     def set(self) -> None:
         """Ask the threads that heed it to stop."""
-        native.set_stop(self._flag, 1)
+        self._flag.set_stop(1)
 
     def clear(self) -> None:
         """Withdraw the request."""
-        native.set_stop(self._flag, 0)
+        self._flag.set_stop(0)
 
     def heed(self) -> None:
         """Make the calling thread heed it from now on."""

@@ -15,7 +15,6 @@ from ..core.types import Handle, Model, RANK_REVEALING_COUNT
 from ..effects import scene_code
 from ..effects.effect_table import EffectTable
 from ..effects.force_law import FRICTION
-from ..engine import native
 
 # Unrolled code is three to twenty times as fast as loops over bodies. It grows with the mechanism:
 # up to so many operations of an evaluation, as they are traced, it is compiled in fifteen seconds
@@ -95,14 +94,14 @@ class System(Handle):
 
     """
 
-    def __init__(self, made, model, effects, joints, how):
-        super().__init__(made, effects=effects, joints=joints, manifold=manifold_of(model),
+    def __init__(self, native, model, effects, joints, how):
+        super().__init__(native, effects=effects, joints=joints, manifold=manifold_of(model),
                          how=how)
         self._work_on(model)
 
     def _work_on(self, model):
         """Have what belongs to the equations that the elimination works on."""
-        self.model, self.work = model, Handle(native.workspace_of(self))
+        self.model, self.work = model, Handle(self.own_workspace())
         self.applied = self.tau if self.effects is None else (
             self.effects.applied[:len(self.qdd)])
         if not len(self.whole.lam):
@@ -112,20 +111,20 @@ class System(Handle):
         """See arrays that are others now."""
         joints = self.joints
         del self.joints, self.whole
-        self.see(native.views(self))
+        self.see()
         self.joints = joints
         self._work_on(model)
 
     def use_equations(self, model, code=LOOPS):
         """Work on other closure equations from now on, as the system of ``with_equations``."""
         joint_kernels.connect(model)
-        native.use_equations(self, model, with_all_equations(model), _addresses(
+        self.native.use_equations(model, with_all_equations(model), _addresses(
             model, self.effects, self.joints, code))
         self._see_again(model)
 
     def use_independent(self, used):
         """Use independent coordinates from now on, none chosen yet, or none."""
-        native.use_independent(self, used)
+        self.native.use_independent(used)
         self._see_again(self.model)
 
     @property
@@ -157,9 +156,9 @@ class System(Handle):
 
     def __deepcopy__(self, memo):
         """Return one with memory of its own, without derivatives."""
-        made = native.copy_system(self)
-        return System(made, Model(native.model_of(made[0])),
-                      self.effects and self.effects.copied(made[0]), self.joints, self.how)
+        made = self.copy()
+        return System(made, Model(made.own_model()), self.effects and self.effects.copied(made),
+                      self.joints, self.how)
 
     def __reduce__(self):
         """Pickle as what it is built from, torques and settings, without derivatives."""
@@ -218,9 +217,9 @@ def _built(model, effects, joints, how, independent, code, baumgarte):
     joint_kernels.connect(model)
     extent, opening = how
     return System(
-        native.system(
-            model, with_all_equations(model), effects, *(joints or _NO_PLACES), baumgarte,
-            extent, opening, independent, _addresses(model, effects, joints, code)),
+        model.system(
+            with_all_equations(model), effects, *(joints or _NO_PLACES), baumgarte, extent,
+            opening, independent, _addresses(model, effects, joints, code)),
         model, effects, joints, how)
 
 
@@ -280,12 +279,12 @@ def refine(system, state):
         return
     health, (q, qd, *_) = system.work.health, parts_of_state(system)
     before, system.table[list(codegen.REFINED)] = health.copy(), 0
-    native.evaluate_state(system.native, state)
-    if not native.is_regular(system.native, state[q], state[qd]):
+    system.native.evaluate_state(state)
+    if not system.native.is_regular(state[q], state[qd]):
         # Where equations depend on others, which loops over bodies tell, they would fail.
         loops = with_equations(system, system.model)
         loops.work.health[RANK_REVEALING_COUNT] = 0.0
-        native.evaluate_state(loops.native, state)
+        loops.native.evaluate_state(state)
         if loops.work.health[RANK_REVEALING_COUNT] == 0.0:
             codegen.link(system.model, system.table, codegen.REFINED)
     health[:] = before
@@ -309,14 +308,14 @@ def with_equations(system, model, code=LOOPS):
     """
     joint_kernels.connect(model)
     return System(
-        native.with_equations(system, model, with_all_equations(model), _addresses(
+        system.with_equations(model, with_all_equations(model), _addresses(
             model, system.effects, system.joints, code)), model, system.effects, system.joints,
         system.how)
 
 
 def with_partition(system, used):
     """Return a system that shares all but independent coordinates, none chosen yet, or none."""
-    return System(native.with_independent(system, used), system.model, system.effects,
+    return System(system.with_independent(used), system.model, system.effects,
                   system.joints, system.how)
 
 

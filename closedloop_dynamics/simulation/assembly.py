@@ -20,7 +20,6 @@ from .errors import AssemblyError
 from .modeling import extent
 from ..core.equations import BY_ITSELF, Loops, MASSES, NO_METRIC, TURNED
 from ..core.ranks import null_space, RANK_TOLERANCE, rank_of, singular_values
-from ..engine import native
 from ..mechanism.closure import open_parts
 from ..mechanism.digits import EVERYDAY, suspicions
 
@@ -143,7 +142,7 @@ class Assembler:
         how = np.full(len(q), BY_ITSELF, dtype=np.int64)
         if not (self.is_light or self.prescribed_rates.size or incomplete):
             self._equations.solve(
-                native.close_states, q, qd, self._loops(free), TOLERANCE * self.extent, how)
+                'close_states', q, qd, self._loops(free), TOLERANCE * self.extent, how)
         return how
 
     def count_notes(self, position, velocity, q, qd, hold, how):
@@ -177,7 +176,7 @@ class Assembler:
         """
         found = np.array(q, dtype=float)
         self._note(self._equations.solve(
-            native.close_loops, found, self._loops(free), TOLERANCE * self.extent,
+            'close_loops', found, self._loops(free), TOLERANCE * self.extent,
             enough * self.extent))
         return found, self.closure(found)
 
@@ -242,7 +241,7 @@ class Assembler:
         """Return the rates nearest to a guess with which independent equations stay closed."""
         found = np.array(guess, dtype=float)
         self._note(self._equations.solve(
-            native.close_rates, np.array(q, dtype=float), found,
+            'close_rates', np.array(q, dtype=float), found,
             self._loops(self._free(hold), tolerance), self._wanted_rates()))
         return found
 

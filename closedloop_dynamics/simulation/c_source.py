@@ -31,7 +31,6 @@ from ..core.codegen.scene_routines import (
     PLACE, PLACE_BIAS, PLACE_RATE, POINT, POWER, SceneTrace)
 from ..core.types import CUT_NUMBER, CUT_ROW, ROWS
 from ..effects.traced_laws import act, powers
-from ..engine import native
 
 # What the columns of the arrays hold: those of ``core.types`` and ``core.codegen.space``.
 _BODY_COLUMNS = (
@@ -110,7 +109,7 @@ def require_c(simulation, language='C', timed=False):
                 f'{what} ({why})' for what, why in reasons.items()))
     system = simulation.data.system
     before = system.work.health.copy()
-    good = native.is_regular(system.native, simulation.position, simulation.velocity)
+    good = system.native.is_regular(simulation.position, simulation.velocity)
     system.work.health[:] = before
     if not good:
         # The elimination alone, as in C, cannot evaluate the state.

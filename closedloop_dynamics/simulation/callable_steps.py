@@ -29,7 +29,7 @@ class CallableSteps:
 
     Parameters are those of ``Stepper``. ``shapes``: of the three inputs; ``address``: of the
     steps; ``step``, ``change`` and ``weight``: addresses of functions of rows, as
-    callable_steps.hpp has them. It is alive as long as anything calls these.
+    callable.hpp has them. It is alive as long as anything calls these.
     """
 
     def __init__(self, model, period, method='rk4', steps=None):

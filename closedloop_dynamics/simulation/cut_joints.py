@@ -10,8 +10,7 @@ from ..core.codegen.space import FRAME
 from ..effects.effect_table import EffectTable
 from ..effects.element import (
     ACROSS_B, AXIS, CUT_INDEX_COLUMNS, CUT_VALUE_COLUMNS, IN_PLANE, POINT_A,
-    POINT_B, ROW_B, SCALE, SIDE_A, SIDE_B, SLIDES, ZERO)
-from ..engine import native
+    POINT_B, SCALE, SIDE_A, SIDE_B, SLIDES, ZERO)
 from ..mechanism.cut_freedoms import cut_freedoms
 from ..mechanism.mechanism import CYLINDRICAL, GROUND, HELICAL, PLANAR, REVOLUTE, SPHERICAL
 from ..mechanism.rotations import in_three, of_quaternion, quaternions_of
@@ -124,7 +123,7 @@ class CutJoints:
         m/s].
         """
         position, velocity = np.zeros(self.count), np.zeros(self.count)
-        native.measure_cut_coordinates(self._table, body, position, velocity)
+        self._table.measure_cut_coordinates(body, position, velocity)
         return position, velocity
 
     def whole(self, body, position):
@@ -145,8 +144,7 @@ class CutJoints:
     def accelerations(self, equations, qdd):
         """Return accelerations [rad/s^2; m/s^2], given those of the tree in a state."""
         out = self._table.cuts.qdd
-        native.cut_accelerations(
-            self._table, equations.model, equations.work, qdd, True, out)
+        self._table.cut_accelerations(equations.model, equations.work, qdd, True, out)
         return out[len(qdd):].copy()
 
     def place(self, name):
@@ -165,8 +163,7 @@ class CutJoints:
                 continue
             one, line = self._index[place], self._values[place]
             wrench = wrenches[self._numbers[place]]
-            axis = np.array(native.cut_direction(
-                body, one[ROW_B], bool(one[IN_PLANE]), self._values, place, AXIS))
+            axis = np.array(self._table.cut_axis(body, place))
             along = self._signs[place] * line[SCALE] * effort * axis
             if one[IN_PLANE]:
                 wrench[:] += (0.0, *along[:2]) if one[SLIDES] else (along[2], 0.0, 0.0)
@@ -182,6 +179,6 @@ class CutJoints:
         nv, out = len(model.tree) - 1, self._table.cuts.qdd
         columns = []
         for unit in np.eye(nv):
-            native.cut_accelerations(self._table, model, work, unit, False, out)
+            self._table.cut_accelerations(model, work, unit, False, out)
             columns.append(out[[nv + self.names.index(name) for name in names]])
         return np.array(columns).reshape(nv, len(names)).T

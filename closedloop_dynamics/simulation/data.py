@@ -287,7 +287,7 @@ class Data:
         self.find_multipliers: Callable[[], None] = native.bind(
             'find_multipliers', system.native, self.integrated, self._lam)
         self.spread = np.zeros(len(system.tau))
-        self.spread_torques = native.bind('spread_torques', self._allowed, self.spread)
+        self.spread_torques = native.bind('spread_torques', self.spread, self._allowed)
 
     def may_leave_out(self, method: Method) -> bool:
         """
@@ -412,7 +412,7 @@ class Data:
         q, qd = (state[part] for part in self.parts[:2])
         q[:] = self._taken(position)
         qd[:] = vector('velocity', velocity, len(qd))
-        if not native.stabilise(self.system.native, PROJECTION, state):
+        if not self.system.native.stabilise(PROJECTION, state):
             opened = self.assembler.opened(q, qd, self.system.settings.closure_limit)
             raise AssemblyError(
                 'state: expected one that nearly closes the loops, got one from which corrections '
@@ -421,7 +421,7 @@ class Data:
 
     def touch(self) -> None:
         """Mark constants or arrays of the system as changed from outside."""
-        native.touch(self.system.native)
+        self.system.native.touch()
 
     def place(self, name: str, position: np.ndarray) -> np.ndarray:
         """
@@ -553,7 +553,7 @@ class Data:
         self.effect_set.initialise_states(self.own, self.effect_set.rates(self.q, self.qd))
         self.effect_set.begin_at_time(self.own, self.time)
         if self.table.loaded[0] > 0:
-            native.begin_loads(self.system.native, self.integrated)
+            self.system.native.begin_loads(self.integrated)
         self.require_finite_laws()
 
     def require_finite_laws(self) -> None:
@@ -679,7 +679,7 @@ class Data:
         self.table.states[:] = self.own
         self.effect_set.initialise_states(self.table.states, self.effect_set.rates(q, qd))
         own[:] = self.table.states
-        native.evaluate_with_poses(system.native, self._elsewhere)
+        system.native.evaluate_with_poses(self._elsewhere)
         lam = system.lam
         if self.has_redundant_constraints:
             lam = self._multipliers_elsewhere(q, qd)
@@ -729,10 +729,10 @@ class Data:
     def _multipliers_elsewhere(self, q: np.ndarray, qd: np.ndarray) -> np.ndarray:
         """Return the multipliers of all equations, which are solved where those kept do not do."""
         lam = np.zeros(number_of_equations(self.system))
-        if native.find_all_multipliers(self.system.native, q, qd, lam):
+        if self.system.native.find_all_multipliers(q, qd, lam):
             return lam
         whole = with_equations(self.system, self.loop_model.model_of(None)[0])
-        native.evaluate_with_poses(whole.native, self._elsewhere)
+        whole.native.evaluate_with_poses(self._elsewhere)
         return whole.lam
 
     def inverse_dynamics(

@@ -25,7 +25,6 @@ from .loop_model import independent, scaled
 from .modeling import extent
 from ..core import types as t
 from ..core.manifold import manifold_of
-from ..engine import native
 from ..mechanism.mechanism import DrivingConstraint, GROUND
 
 LIMIT, CHANGE_POINT, UNCLEAR = 'limit', 'change point', 'unclear'
@@ -179,11 +178,10 @@ class DrivenKinematics:
         velocity, acceleration = np.empty((2, count, len(self._unit)))
         done, end, stuck = 0, None, False
         while done < count:
-            reached, share = native.follow_drives(
-                self._model, self._equations.work, self._manifold, self._drives, self._kept,
-                self._unit, self._anchors, OPEN * max(1.0, self._size), self.values,
-                wanted[done:].copy(), self.position, position[done:], velocity[done:],
-                acceleration[done:])
+            reached, share = self._model.follow_drives(
+                self._equations.work, self._manifold, self._drives, self._kept, self._unit,
+                self._anchors, OPEN * max(1.0, self._size), self.values, wanted[done:].copy(),
+                self.position, position[done:], velocity[done:], acceleration[done:])
             done += int(reached)
             self.values = wanted[done - 1, :, 0].copy() if reached else self.values
             if done == count:
@@ -230,10 +228,10 @@ class DrivenKinematics:
             How many nodes were reached.
 
         """
-        return native.reach_poses(
-            self._model, self._equations.work, self._manifold, self._drives, self._kept,
-            self._unit, self._anchors, OPEN * max(1.0, self._size), grid, seeds, values,
-            actuated, reached, position, rates)
+        return self._model.reach_poses(
+            self._equations.work, self._manifold, self._drives, self._kept, self._unit,
+            self._anchors, OPEN * max(1.0, self._size), grid, seeds, values, actuated, reached,
+            position, rates)
 
     def linearised(self, position):
         """

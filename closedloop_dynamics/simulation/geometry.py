@@ -9,7 +9,6 @@ from .loop_model import LoopModel
 from .tree_rows import set_masses_of_bodies
 from ..core import types as t
 from ..core.codegen import space
-from ..engine import native
 from ..mechanism.mechanism import FIXED
 from ..mechanism.rotations import quaternions_of
 
@@ -50,25 +49,25 @@ class Geometry(LoopModel):
 
     def point(self, q, body, position):
         """Return where a point in a body's frame is in the world [m], at coordinates q."""
-        return self._in_world(self.equations.move(q).work.body,
+        return self._in_world(self.equations.move(q).work,
                               *self._placed_points([(body, position)]))[0]
 
-    def _in_world(self, body, rows, places):
+    def _in_world(self, work, rows, places):
         """Return places in the frames of rows in the world."""
         found = np.empty(places.shape)
-        native.place_points(body, rows, places, found)
+        work.place_points(rows, places, found)
         return found
 
-    def poses_among(self, body):
+    def poses_among(self, work):
         """
         Return the poses of the bodies, in the mechanism's order, where the rows of the tree are.
 
-        Of ``Workspace.body``, after the outward recursion: x, y [m] and angle [rad], shape (nb,
+        ``work``: a workspace, after the outward recursion. x, y [m] and angle [rad], shape (nb,
         3); in space x, y, z of the frame's origin and its unit quaternion x, y, z, w, shape (nb,
         7).
         """
         rows, origins = self._origins
-        places = self._in_world(body, rows, origins)
+        places, body = self._in_world(work, rows, origins), work.body
         if self.mechanism.planar:
             return np.column_stack([places, body[rows, t.ALPHA]])
         frames = body[rows, space.FRAME:space.FRAME + 9].reshape(-1, 3, 3)

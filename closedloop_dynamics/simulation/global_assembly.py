@@ -20,7 +20,6 @@ import numpy as np
 from .assembly import Assembler
 from .modeling import build_model
 from ..core.equations import ALL_AXES, Equations, Far, Loops, NO_AXIS, ONE_AXIS, THREAD
-from ..engine import native
 from ..mechanism.kinematics import body_poses, body_velocities, pose_of, world_points
 from ..mechanism.mechanism import (
     CYLINDRICAL, FIXED, GROUND, HELICAL, PLANAR, PRISMATIC, REVOLUTE, UNIVERSAL)
@@ -155,7 +154,7 @@ class ClosureProblem:
         rows, far = self._search
         values = np.empty(len(far.unit) + len(far.axes) + len(far.limits))
         slopes = np.empty((len(values), self.nv))
-        self.equations.solve(native.loop_residuals, np.array(q, dtype=float), Loops(
+        self.equations.solve('loop_residuals', np.array(q, dtype=float), Loops(
             self.equations.places, rows, self.free(())), far, values, slopes)
         return values, slopes
 
@@ -167,7 +166,7 @@ class ClosureProblem:
         """
         (rows, far), found = self._search, np.array(q, dtype=float)
         self.equations.solve(
-            native.search_loops, found, Loops(
+            'search_loops', found, Loops(
                 self.equations.places, rows, free, least=LEAST_INERTIA, limit=LARGEST_STEP),
             far if target is None else far._replace(target=target), 1e-3 * CLOSED, most)
         return found

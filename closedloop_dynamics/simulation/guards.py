@@ -21,7 +21,6 @@ import numpy as np
 from .cable_guard import CHECK_EVERY as CABLE_CHECK_EVERY
 from .errors import ClosureError, NumericalError, SingularityError, StiffnessError
 from ..core.types import SINGULAR_COUNT
-from ..engine import native
 from ..integration.registry import ADAPTIVE, AUTO, EXPLICIT, FIXED, INTEGRATORS
 from ..integration.run import NEVER, GuardLimits
 from ..integration.system import parts_of_state
@@ -63,7 +62,7 @@ def fastest_rate(system, state, own=()):
     ``own``: places, among the effects' states, of those that act back on the motion, such as the
     lag of a drive; dissipated energy and work do not.
     """
-    return native.fastest_rate(system.native, state, _direction(system, own))
+    return system.native.fastest_rate(state, _direction(system, own))
 
 
 def _direction(system, own):
@@ -221,7 +220,7 @@ class StiffnessGuard:
 
     def rate(self, state):
         """Return the fastest rate of the motion in a state [1/s]."""
-        return native.fastest_rate(self._system.native, state, self._start)
+        return self._system.native.fastest_rate(state, self._start)
 
     def check(self, state, step_size):
         """Raise StiffnessError where steps of ``step_size`` from ``state`` cannot be stable."""

@@ -55,9 +55,8 @@ class InverseDynamics:
                 return torque, lam
             # Friction driven by reactions depends on the result: a fixed point, fast because
             # friction is the smaller part.
-            native.load_joints(
-                system.native, equations.model, equations.work, qd, qdd, lam)
-            if native.feel_loads(system.native, table.states, SETTLED):
+            system.native.load_joints(equations.model, equations.work, qd, qdd, lam)
+            if system.native.feel_loads(table.states, SETTLED):
                 return torque, lam
 
     def _jacobian(self, q, qd, qdd):
@@ -88,22 +87,20 @@ class InverseDynamics:
         """
         need, data, table = np.zeros(len(qd)), self._data, self._data.table
         effects, system = data.effect_set, data.system
-        native.touch(system.native)
-        native.outward(system.model, q, qd, system.work)
+        system.native.touch()
+        system.model.outward(q, qd, system.work)
         if len(table.role):
             effects.steady(q, qd)
             if len(table.cuts.index):
-                native.cut_accelerations(
-                    table, system.model, system.work, qdd, True, table.cuts.qdd)
+                table.cut_accelerations(system.model, system.work, qdd, True, table.cuts.qdd)
                 table.cuts.qdd[:len(qdd)] = qdd
             effects.hold_inertia(table.cuts.qdd if len(table.cuts.index) else qdd)
-            native.apply_effects(
-                table, system.work.body, data.coordinates.by_freedom(q), qd,
+            table.apply_effects(system.work.body, data.coordinates.by_freedom(q), qd,
                 np.zeros(len(system.tau)))
             effects.hold_inertia(None)
             effects.unsteady()
-            native.bias_forces(system.work, table.reaction)
-        native.tree_torque(system.model, system.work, qdd, need)
+            system.work.bias_forces(table.reaction)
+        system.model.tree_torque(system.work, qdd, need)
         return need - table.applied[:len(need)] if len(table.role) else need
 
     def _least_torques(self, need, jac):

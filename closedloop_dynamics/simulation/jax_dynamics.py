@@ -10,7 +10,6 @@ from .derivative_code import DerivativeCode
 from .jax_step import native_function, require_64_bits
 from .simulation import Simulation
 from .traced_scene import require_derivatives, TracedScene
-from ..engine import native
 from ..integration.control import NOT_FINITE, OPEN_LOOP, POOR_EQUATIONS, SINGULAR
 from ..mechanism.extras import of_an_extra
 
@@ -74,12 +73,9 @@ class _CallableDynamics:
         self._kept = code, qdd, lam, data.integrated.copy()
         self.shapes = Shapes(self._names.nq, nv, len(self._places))
         self.results, self.changing = (nv, nc), (nv, nv, len(self._places))
-        self._handle, _ = native.callable_dynamics(
-            data.system.native, self._kept[-1], self._places, code.table, qdd, lam, code.columns,
-            code.found)
-        addresses = np.zeros(4, dtype=np.int64)
-        native.fill_dynamics_addresses(self._handle, addresses)
-        self.address, self.evaluate, self.change, self.weight = addresses.tolist()
+        self._callable = data.system.native.callable_dynamics(
+            self._kept[-1], self._places, code.table, qdd, lam, code.columns, code.found)
+        self.address, self.evaluate, self.change, self.weight = self._callable.addresses()
 
     def failure(self, code, q, qd):
         """Return words for a code other than 0, and the state that it is of."""

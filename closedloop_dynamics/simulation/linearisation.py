@@ -15,7 +15,7 @@ from .errors import AssemblyError, SimulationError
 from .independent import changes_along, choose_independent, dependent_on, places_of
 from .named_array import reals
 from .readings import readings_of
-from ..engine import native
+from .step_derivatives import turned
 from ..mechanism.coordinates import QUANTITIES
 from ..mechanism.extras import of_an_extra
 
@@ -342,8 +342,7 @@ class Linearisation:
             now, found, *_ = self._model(q, qd, torque, (), own)
             change = now.A @ flow
             change[:, n:] += now.B
-            moving = np.zeros(nq)
-            native.rates_of_coordinates(manifold, np.concatenate((q, qd)), nv, moving, 1)
+            moving = turned(manifold, q, qd[:, np.newaxis])[:, 0]
             return np.concatenate((moving, found.acceleration, change.ravel()))
 
         start = np.concatenate((q, qd, np.eye(n, n + m).ravel()))
@@ -442,7 +441,7 @@ class Linearisation:
         if manifold is None:
             moved += change
         else:
-            native.move(manifold, moved, np.array(change, dtype=float), 1.0)
+            manifold.move(moved, np.array(change, dtype=float), 1.0)
         try:
             return self._data.closed(moved, rates)
         except AssemblyError:

@@ -745,7 +745,7 @@ class _Workspace(Readings):
     def are_closed(self, states: State) -> bool:
         """Return whether all of many states certainly close the loops."""
         return not self.motions and len(states) == self.equations.solve(
-            native.first_open, states.q.copy(), states.qd.copy(),
+            'first_open', states.q.copy(), states.qd.copy(),
             float(self.system.settings.closure_limit))
 
     def _put(self, time: float, q: np.ndarray, qd: np.ndarray, own: np.ndarray) -> None:

@@ -24,7 +24,6 @@ from .loop_model import independent
 from .modeling import extent
 from ..core.equations import Loops, NO_METRIC
 from ..core.ranks import rank_from, rank_of
-from ..engine import native
 
 # Of lengths against the size of the mechanism; angles [rad]. A measured joint moves no further in
 # a piece of the way, another one no further in a piece that is taken for sure; how often a piece
@@ -192,7 +191,7 @@ class PassiveJointSolver:
     def _follow(self, values, halvings):
         """Go on to measured values; by way of the middle where that is too far."""
         found = self.position.copy()
-        self._equations.solve(native.close_loops, found, self._loops(values), 0.0, 0.0)
+        self._equations.solve('close_loops', found, self._loops(values), 0.0, 0.0)
         if self._equations.move(found).closure_error() <= TOLERANCE * max(1.0, self._size):
             moved = np.abs(self._coordinates.apart(found, self.position) / self._unit).max()
             if moved <= SURE and self._stays(found, moved):
@@ -231,7 +230,7 @@ class PassiveJointSolver:
         found = near.copy()
         wanted = np.broadcast_to(wanted, len(self._rows)).copy()
         parts = self._equations.solve(
-            native.close_rates, self.position, found, self._loops(rates), wanted)
+            'close_rates', self.position, found, self._loops(rates), wanted)
         return np.full_like(found, math.nan) if parts & NO_METRIC else found
 
     def _prepare(self, q):

@@ -188,9 +188,7 @@ class Readings(Data):
         (number of cuts, 6): moment x, y, z, force x, y, z.
         """
         self.find_multipliers()
-        model, work = self.equations.model, self.equations.work
-        wrenches = np.empty((len(model.cut), work.wrench.shape[1]))
-        native.cut_wrenches(model, self.system.work.body, self._lam, work.share, wrenches)
+        wrenches = self.equations.cut_wrenches(self._lam, self.system.work.body)
         found = wrenches[:len(self.cut_joints)]
         if self.acts_in_cuts:
             self.cuts.add_efforts(self.system.work.body, self._cut_efforts(), found)
@@ -376,7 +374,7 @@ class Readings(Data):
         """Return kinetic and stored energy of the present state."""
         self.evaluate()
         found = np.empty(2)
-        native.energies(self.system.model, self.system.work, self.qd, found)
+        self.system.model.energies(self.system.work, self.qd, found)
         (own, potential), (kinetic, stored) = found.tolist(), self.effect_set.energies()
         return own + kinetic, potential + stored
 
@@ -388,7 +386,7 @@ class Readings(Data):
         In space of shape (nb, 7): x, y, z [m], unit quaternion x, y, z, w.
         """
         self.evaluate()
-        return self.loop_model.poses_among(self.system.work.body)
+        return self.loop_model.poses_among(self.system.work)
 
     def point(self, name: str) -> np.ndarray:
         """Return the world place of a named point, shape (2,), in space (3,) [m]."""

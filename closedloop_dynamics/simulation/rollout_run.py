@@ -478,5 +478,5 @@ def _values_of_states(simulation, states, tau, schedule, steps, quantities):
     buffer = buffer_for(simulation, schedule, quantities)
     buffer.state[:, :states.shape[1]] = states
     if simulation.mechanism.planar:
-        native.annotate(simulation.data.system.native, tau, *schedule.in_steps(steps)[:2], buffer)
+        simulation.data.system.native.annotate(tau, *schedule.in_steps(steps)[:2], buffer)
     return values_of(simulation, buffer, tau, schedule, quantities)

@@ -24,7 +24,6 @@ from .state import State
 from .step_derivatives import StepDerivatives, turned
 from .traced_scene import require_derivatives
 from ..core.codegen.sensitivities import FORWARD, REVERSE
-from ..engine import native
 from ..integration.control import (
     DONE, INTERRUPTED, NOT_FINITE, OPEN_LOOP, POOR_EQUATIONS, SINGULAR)
 from ..integration.registry import (
@@ -310,7 +309,7 @@ class Sensitivity:
                          schedule.zero_order_hold, schedule.decimation, torque)
         tape = allocate_tape(system, self._tableau, schedule.intervals)
         tape.state[0] = simulation.data.integrated
-        _require_done(native.record_steps(system.native, run, self._scratch, tape),
+        _require_done(system.native.record_steps(run, self._scratch, tape),
                       simulation.step_size)
         nq, nv = simulation.coordinates.nq, simulation.coordinates.nv
         states = tape.state[::schedule.decimation]
@@ -361,9 +360,9 @@ class Sensitivity:
             nx, nv = weights.shape[1], self._simulation.coordinates.nv
             found = RunInputs(np.zeros(nx), np.zeros((len(record.run.torque), nv)),
                               np.zeros(len(self._arrays.entries)))
-            _require_done(native.gradient_of_steps(
-                record.system.native, record.run, self._scratch, record.tape,
-                derivatives.routines, weights, found), record.run.step_size)
+            _require_done(record.system.native.gradient_of_steps(
+                record.run, self._scratch, record.tape, derivatives.routines, weights, found),
+                record.run.step_size)
             names, matrix = record.start_map
         n = len(names)
         by_start = found.start @ matrix
@@ -384,9 +383,9 @@ class Sensitivity:
                 change = RunInputs(
                     matrix @ np.concatenate((start[direction], parameters[direction])), torque,
                     self._arrays.matrix @ parameters[direction])
-                _require_done(native.change_of_steps(
-                    record.system.native, record.run, self._scratch, record.tape,
-                    derivatives.routines, change, out[direction]), record.run.step_size)
+                _require_done(record.system.native.change_of_steps(
+                    record.run, self._scratch, record.tape, derivatives.routines, change,
+                    out[direction]), record.run.step_size)
 
 
 class _Record:

@@ -172,7 +172,7 @@ def turned(manifold, q, displacements):
     """
     if manifold is None:
         return displacements
-    found, nv = np.zeros((displacements.shape[1], len(q))), len(displacements)
+    found = np.zeros((displacements.shape[1], len(q)))
     for change, out in zip(displacements.T, found):
-        native.rates_of_coordinates(manifold, np.concatenate((q, change)), nv, out, 1)
+        manifold.rates(np.concatenate((q, change)), out)
     return found.T

@@ -283,7 +283,7 @@ class Stepper:
 
     def called_by_address(self) -> Tuple[Any, Sequence[int]]:
         """
-        Return what others call by address, and what keeps it alive (callable_steps.hpp).
+        Return what others call by address, and what keeps it alive (callable.hpp).
 
         Addresses of the steps, and of three functions of rows. Calls use the memory of this
         stepper, which is not to be called any more.
@@ -295,11 +295,8 @@ class Stepper:
         arrays = (self._reach.actuated, np.zeros((2, nq + nv)),
                   RunInputs(np.zeros(nq + nv), np.zeros((1, nv)),
                             np.zeros(len(self._arrays.entries))))
-        handle, _ = native.callable_steps(
-            self._system.native, run, scratch, tape, routines, *arrays)
-        addresses = np.zeros(4, dtype=np.int64)
-        native.fill_addresses(handle, addresses)
-        return (handle, self._run, arrays), addresses.tolist()
+        of = self._system.native.callable_steps(run, scratch, tape, routines, *arrays)
+        return (of, self._run, arrays), of.addresses()
 
     @property
     def parameters(self) -> Tuple[str, ...]:

@@ -32,7 +32,6 @@ from .state import State
 from .traced_scene import refusals
 from ..core import types as t
 from ..effects.delay_line import DelayLine
-from ..engine import native
 from ..integration.control import (
     CONTACT_PASSED, DONE, INTERRUPTED, NOT_FINITE, OPEN_LOOP, POOR_EQUATIONS, TOO_MUCH_WORK)
 from ..integration.registry import INTEGRATORS, ROSENBROCK
@@ -96,7 +95,7 @@ class Stepping:
                 and method.stabilisation not in ('baumgarte', 'independent')):
             self._derivatives = code = DerivativeCode(
                 self.data, system.qdd, system.lam, len(self.data.own))
-            native.use_derivatives(system, AccelerationDerivatives(
+            system.use_derivatives(AccelerationDerivatives(
                 code.table, code.columns, code.found, code.flows))
 
     @property
@@ -214,7 +213,7 @@ class Stepping:
 
     def _order(self, tau: np.ndarray, steps: int, rest: float = 0.0) -> None:
         """Advance by whole steps and the rest of one [s]; drives follow with their delays."""
-        native.require_free(self.data.system.native)
+        self.data.system.native.require_free()
         if self._delay_line.pending or self._effects.delays:
             self._delay_line.order(self.data.time, tau, self._effects.drives, self.data.system.tau)
         else:
@@ -342,7 +341,7 @@ class Stepping:
     def reset(self) -> None:
         """Return to the scene's initial state, time zero and no torque."""
         data = self.data
-        native.require_free(data.system.native)
+        data.system.native.require_free()
         if data.exchanges:
             data.use_equations(
                 data.loop_model.as_at_first() if data.may_leave_out(self.method)
@@ -353,7 +352,7 @@ class Stepping:
         data.q[:], data.qd[:] = data.initial
         data.own[:] = self._effects.initial
         self.run.rewind()
-        native.forget(data.system)
+        data.system.forget()
         self.monitor.clear()
         self._effects.restart()
         self._delay_line = DelayLine()
@@ -370,7 +369,7 @@ class Stepping:
     def description(self) -> Dict[str, Any]:
         """Return all beside the scene that a run goes on from; arguments of ``revive``."""
         data, effects = self.data, self._effects
-        native.require_free(data.system.native)
+        data.system.native.require_free()
         return {
             'records': dict(effects.records), 'enabled': dict(effects.enabled),
             'choice': data.loop_model.choice, 'exchanges': data.exchanges,
@@ -405,7 +404,7 @@ class Stepping:
     def take(self, other: 'Stepping') -> None:
         """Take over numbers and run of a simulation that this one was revived from."""
         data = self.data
-        native.take_numbers(data.system.native, other.data.system.native)
+        data.system.native.take_numbers(other.data.system.native)
         self._state[:] = other._state
         self.run.take(other.run)
         self._budget, self._measured = deepcopy(other._budget), other._measured
@@ -517,7 +516,7 @@ class Stepping:
             hold: Optional[Sequence[str]] = None) -> None:
         """As ``Simulation.set_state``."""
         data = self.data
-        native.require_free(data.system.native)
+        data.system.native.require_free()
         state = data.near(position, velocity, hold)
         data.choose_equations(state[0])
         if self.method.stabilisation == 'independent':
@@ -565,7 +564,7 @@ class Stepping:
             **parameters: Any) -> None:
         """As ``Simulation.set_effect``."""
         data = self.data
-        native.require_free(data.system.native)
+        data.system.native.require_free()
         self.run.find_start()
         before, undo = data.energy, self._effects.trial()
         try:
@@ -604,7 +603,7 @@ class Stepping:
         ValueError, StiffnessError
 
         """
-        native.require_free(self.data.system.native)
+        self.data.system.native.require_free()
         undo = self._effects.trial()
         try:
             self._try_effect(name, enabled, parameters, undo)
@@ -695,7 +694,7 @@ class Stepping:
 
         """
         data = self.data
-        native.require_free(data.system.native)
+        data.system.native.require_free()
         method = replace(self.method, **changes)
         self.require_known_steps(method)
         self._require_closable(method.stabilisation)
@@ -764,7 +763,7 @@ class Stepping:
             self, state: ArrayLike, time: float,
             residual: Optional[float] = None) -> None:
         """As ``Simulation.restore``; ``residual``: of the energy balance in that state [J]."""
-        native.require_free(self.data.system.native)
+        self.data.system.native.require_free()
         state = vector('state', state, self.run.whole_length())
         if residual is None:
             residual = self.run.balance()['residual']

@@ -22,7 +22,6 @@ import numpy as np
 from .reference import in_angles
 from ..core.types import EVALUATIONS
 from ..effects.registry import effect_type
-from ..engine import native
 from ..simulation.errors import SimulationError
 from ..simulation.simulation import Simulation
 
@@ -349,7 +348,7 @@ def _evaluation(simulation, off, whole):
     def time(count):
         begin = process_time()
         for state in states:
-            native.evaluate_again(simulation.data.system.native, state, count)
+            simulation.data.system.native.evaluate_again(state, count)
         return (process_time() - begin) / (count * STATES)
 
     time(1)

@@ -35,7 +35,6 @@ from ..core.ranks import rank_from
 from ..effects.element import OWN
 from ..effects.force_law import FRICTION
 from ..effects.registry import effect_type
-from ..engine import native
 from ..mechanism.differences import FIRST_4, FORWARD_4, nodes
 from ..mechanism.fields import among, FieldError
 from ..mechanism.mechanism import MechanismError
@@ -672,7 +671,7 @@ class _Along:
         need = np.zeros((len(self.states), equations.nv))
         for (q, qd, qdd), out in zip(self.states, need):
             equations.move(q, qd)
-            native.tree_torque(equations.model, equations.work, qdd, out)
+            equations.model.tree_torque(equations.work, qdd, out)
         return np.einsum('nvd,nv->nd', self._tangents, need)
 
 

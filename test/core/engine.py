@@ -8,7 +8,6 @@ In the plane and in space alike, each with the twin that it is compared with.
 """
 
 from closedloop_dynamics.core.types import ALPHA, NO_RESPONSES, OMEGA, PX, PY, REDUCED, VX, VY
-from closedloop_dynamics.engine import native
 from closedloop_dynamics.integration.system import build_system
 from closedloop_dynamics.mechanism.decomposition import decompose
 from closedloop_dynamics.simulation.modeling import mechanism_arrays
@@ -117,12 +116,12 @@ class Engine:
     def forward_dynamics(self, q, qd, tau):
         """Return (qdd, lam)."""
         self.system.tau[:] = tau
-        native.evaluate(self.system.native, q, qd)
+        self.system.native.evaluate(q, qd)
         return self.system.qdd.copy(), self.system.lam.copy()
 
     def move(self, q, qd=None):
         """Update poses and velocities."""
-        native.outward(self.model, q, np.zeros(self.nv) if qd is None else qd, self.work)
+        self.model.outward(q, np.zeros(self.nv) if qd is None else qd, self.work)
 
     def pose(self, name):
         """Return x, y, alpha of a body after ``move``."""
@@ -131,8 +130,7 @@ class Engine:
     def point(self, name, position):
         """Return (place, velocity) of a point on a body after ``move``."""
         row, places = self.body_row[name], np.empty((1, 2))
-        native.place_points(
-            self.work.body, np.array([row]), np.array([position], dtype=float), places)
+        self.work.place_points(np.array([row]), np.array([position], dtype=float), places)
         place = places[0]
         body = self.work.body[row]
         x, y = place - body[[PX, PY]]
@@ -141,52 +139,52 @@ class Engine:
     def closure(self, q, qd):
         """Return psi, J qd, Jdot qd."""
         self.move(q, qd)
-        native.update(self.model, self.work, NO_RESPONSES)
+        self.model.update(self.work, NO_RESPONSES)
         return [self.in_user_order(values) for values in (
             self.work.closure, self.work.closure_rate, self.work.bias)]
 
     def in_user_order(self, values):
         """Return closure-sized values in the order of the mechanism's cut joints."""
         out = np.empty(self.nc)
-        native.to_user_order(self.model, values, out)
+        self.model.to_user_order(values, out)
         return out
 
     def jacobian(self, q):
         """Return the constraint Jacobian."""
         self.move(q)
         jac = np.full((self.nc, self.nv), np.nan)
-        native.constraint_jacobian(self.model, self.work, jac)
+        self.model.constraint_jacobian(self.work, jac)
         return jac
 
     def generalized_inertia_matrix(self, q):
         """Return the generalized inertia matrix."""
         self.move(q)
         gim = np.full((self.nv, self.nv), np.nan)
-        native.generalized_inertia_matrix(self.model, self.work, gim)
+        self.model.generalized_inertia_matrix(self.work, gim)
         return gim
 
     def tree_torque(self, q, qd, qdd):
         """Return I qdd + c."""
         self.move(q, qd)
         out = np.full(self.nv, np.nan)
-        native.tree_torque(self.model, self.work, qdd, out)
+        self.model.tree_torque(self.work, qdd, out)
         return out
 
     def energies(self, q, qd):
         """Return (kinetic, potential) energy."""
         self.move(q, qd)
         out = np.empty(2)
-        native.energies(self.model, self.work, qd, out)
+        self.model.energies(self.work, qd, out)
         return tuple(out.tolist())
 
     def constraint_matrix(self, q):
         """Return (J I^-1 J^T as assembled, its factor L D, 1/D), dense, in elimination order."""
         self.move(q)
-        native.inward(self.model, np.zeros(self.nv), self.work, False)
-        native.update(self.model, self.work, REDUCED)
-        native.assemble(self.model, self.work)
+        self.model.inward(np.zeros(self.nv), self.work, False)
+        self.model.update(self.work, REDUCED)
+        self.model.assemble(self.work)
         matrix = self.lower_triangle()
-        native.factorize(self.model, self.work)
+        self.model.factorize(self.work)
         return (matrix + np.tril(matrix, -1).T, self.lower_triangle(),
                 self.work.pivot_inverse.copy())
 

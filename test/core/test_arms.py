@@ -8,7 +8,6 @@ import ctypes
 from closedloop_dynamics.core import types as t
 from closedloop_dynamics.core.codegen import function_table as calls, lanes, routines, space
 from closedloop_dynamics.core.codegen.arms import Plan
-from closedloop_dynamics.engine import native
 from closedloop_dynamics.integration.system import build_system, number_of_states
 from closedloop_dynamics.simulation.scene import load_scene
 from closedloop_dynamics.simulation.simulation import Simulation
@@ -128,7 +127,7 @@ def test_at_a_singular_arm_the_same_call_gives_the_motion(name):
         q[model.tree[row, t.COORDINATE]] = angle
         state[:len(q) + len(qd)] = np.concatenate([q, qd])
         before = system.work.health[t.EVALUATIONS]
-        native.evaluate_state(system.native, state)
+        system.native.evaluate_state(state)
         assert system.work.health[t.EVALUATIONS] == before + 1.0
         assert system.work.health[t.RANK_REVEALING_COUNT] == 0.0
         expected, _, good = evaluated(model, q, qd, tau, with_arms=False, kind=np.longdouble)

@@ -17,7 +17,6 @@ from closedloop_dynamics.core.codegen.machine_code import (
 from closedloop_dynamics.core.codegen.packing import packing_of
 from closedloop_dynamics.core.codegen.routines import operations, unrolled_size
 from closedloop_dynamics.core.types import ALPHA, AY, REVOLUTE_ARMATURE, TYPE
-from closedloop_dynamics.engine import native
 from closedloop_dynamics.integration import system as integration_system
 from closedloop_dynamics.integration.registry import PROJECTION
 from closedloop_dynamics.integration.system import build_system
@@ -43,10 +42,10 @@ def test_evaluations_agree(drawn):
     for system in systems(mechanism, baumgarte=3.0):
         system.tau[:] = tau
         out = np.zeros(2 * len(q))
-        native.derivative(system.native, np.concatenate([q, qd]), out)
+        system.native.derivative(np.concatenate([q, qd]), out)
         assert_agree(out[:len(q)], qd, SOLVE)
         # What is asked for from Python leaves poses and closure errors, too.
-        native.evaluate(system.native, q, qd)
+        system.native.evaluate(q, qd)
         assert_agree(system.qdd, out[len(q):], SOLVE)
         results.append((system.qdd, system.lam, system.work.closure_rate,
                         system.work.body[:, ALPHA:AY + 1], system.work.health[[2]]))
@@ -60,7 +59,7 @@ def test_corrections_agree(drawn):
     ends = []
     for system in systems(mechanism):
         state = start.copy()
-        assert native.stabilise(system.native, PROJECTION, state)
+        assert system.native.stabilise(PROJECTION, state)
         assert np.abs(system.work.closure).max(initial=0.0) < 1e-11
         ends.append(state)
     assert_agree(*ends, 1e-9)
@@ -81,7 +80,7 @@ def test_change_of_parameters_is_seen_and_a_rotor_links_again():
                 joint_kernels.connect(system.model)
                 if system.is_unrolled:
                     relink(system.model, system.table)
-            native.evaluate(system.native, q, qd)
+            system.native.evaluate(q, qd)
         if change:
             assert np.abs(pair[0].qdd - before).max() > 1e-3
         assert_agree(pair[0].qdd, pair[1].qdd, SOLVE)
@@ -107,11 +106,11 @@ def test_traced_operations_decide_what_is_unrolled(tmp_path, monkeypatch):
 def test_copies_work_on_arrays_of_their_own():
     rng, mechanism, q, qd = cases.drawn('three_rrr')
     system = build_system(build_model(mechanism))
-    native.evaluate(system.native, q, qd)
+    system.native.evaluate(q, qd)
     expected, other = system.qdd.copy(), copy.deepcopy(system)
     system.qdd[:] = 7.0
     assert other.applied is other.tau
-    native.evaluate(other.native, q, qd)
+    other.native.evaluate(q, qd)
     assert np.array_equal(other.qdd, expected)
     assert np.all(system.qdd == 7.0)
 

@@ -6,7 +6,6 @@
 from dataclasses import replace
 
 from closedloop_dynamics.core.types import EVALUATIONS
-from closedloop_dynamics.engine import native
 import numpy as np
 import pytest
 
@@ -58,7 +57,7 @@ def test_one_call_from_state_to_accelerations_does_the_same_and_is_counted(drawn
     expected = engine.forward_dynamics(q, qd, tau)
     before = engine.work.health[EVALUATIONS]
     found = np.empty(engine.nv), np.empty(engine.nc)
-    native.forward_dynamics(engine.model, engine.work, q, qd, tau, *found)
+    engine.model.forward_dynamics(engine.work, q, qd, tau, *found)
     for one, other in zip(found, expected):
         # Unrolled or not: the same sums, rounded differently where one instruction does both.
         assert_agree(one, other, SOLVE)

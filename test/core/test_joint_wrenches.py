@@ -12,7 +12,6 @@ from closedloop_dynamics.effects.joint_damping import JointDamping
 from closedloop_dynamics.effects.joint_spring import JointSpring
 from closedloop_dynamics.effects.point_spring import PointSpring
 from closedloop_dynamics.effects.rotor import Rotor
-from closedloop_dynamics.engine import native
 from closedloop_dynamics.mechanism.mechanism import (
     Body, CutJoint, GROUND, Joint, Mechanism, Point, REVOLUTE)
 from closedloop_dynamics.simulation.errors import SimulationError
@@ -205,7 +204,7 @@ def test_wrenches_in_space_are_those_of_the_recursions_on_numbers(case):
     qdd = rng.normal(size=engine.nv)
     torque = engine.tree_torque(q, qd, qdd)
     found, expected = np.empty((len(model.cut), 6)), np.zeros((len(model.cut), 6))
-    native.cut_wrenches(model, work.body, lam, work.share, found)
+    model.cut_wrenches(work, work.body, lam, found)
     for place, a, equation in equations(recursion, model):
         expected[model.cut[a, CUT_NUMBER]] += lam[place] * np.array(equation.on_a)
     for cut, point in zip(model.cut, model.cut_point):
@@ -216,8 +215,8 @@ def test_wrenches_in_space_are_those_of_the_recursions_on_numbers(case):
     assert_agree(found, expected, IDENTITY)
     # In its own direction, a joint hands over what drives it: the torque less the cut forces'.
     wrench, shares = np.zeros((len(model.tree), 12)), np.zeros(engine.nv)
-    native.bias_forces(work, wrench)
-    native.joint_wrenches(model, work, qdd, lam, wrench)
+    work.bias_forces(wrench)
+    model.joint_wrenches(work, qdd, lam, wrench)
     for i in range(1, len(model.tree)):
         shares[model.tree[i, 1]] = np.dot(recursion.motion[i].axis, wrench[i, :6])
     assert_agree(numbers._own_axes(shares), torque - numbers.jacobian().T @ lam, IDENTITY)

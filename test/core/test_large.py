@@ -4,7 +4,6 @@
 """Mechanisms of thousands of joints: linear in size, well posed, no dense matrix anywhere."""
 
 from closedloop_dynamics.core.types import RANK, RANK_REVEALING_COUNT
-from closedloop_dynamics.engine import native
 from closedloop_dynamics.integration.system import build_system
 from closedloop_dynamics.mechanism.decomposition import decompose
 from closedloop_dynamics.mechanism.validation import validate_mechanism
@@ -28,7 +27,7 @@ def test_large_mechanism_is_well_posed(build, size):
     system, mechanism, position = held(build, size)
     q = np.array(position)
     system.tau[:] = np.random.default_rng(2).uniform(-1.0, 1.0, len(q))
-    native.evaluate(system.native, q, np.zeros(len(q)))
+    system.native.evaluate(q, np.zeros(len(q)))
     assert system.work.health[RANK] == mechanism.number_of_equations
     assert system.work.health[RANK_REVEALING_COUNT] == 0
     assert np.isfinite(system.qdd).all() and np.isfinite(system.lam).all()

@@ -9,7 +9,6 @@ from dataclasses import replace
 from closedloop_dynamics.core import codegen
 from closedloop_dynamics.core.types import (
     PROJECTION_ITERATIONS, RANK, RANK_REVEALING_COUNT, SMALLEST_PIVOT)
-from closedloop_dynamics.engine import native
 from closedloop_dynamics.integration.registry import PROJECTION
 from closedloop_dynamics.integration.system import build_system
 from closedloop_dynamics.mechanism.mechanism import Body, Coupling, CutJoint, Joint, Mechanism
@@ -54,7 +53,7 @@ def test_light_links_are_regular(name, factor, unrolled):
     mechanism = lighter(mechanism, factor, names)
     system = build_system(build_model(mechanism, EARTH), unrolled=unrolled)
     system.tau[:] = np.random.default_rng(5).normal(size=len(q))
-    native.evaluate(system.native, q, qd)
+    system.native.evaluate(q, qd)
     expected = maximal.forward_dynamics(
         mechanism, q, qd, system.tau, EARTH, maximal.extended)
     for found, wanted in ((system.qdd, expected.qdd), (system.lam, expected.lam)):
@@ -71,7 +70,7 @@ def test_loops_of_massless_links_are_closed(name, unrolled):
     mechanism, q, qd, names = machine(name)
     system = build_system(build_model(lighter(mechanism, 0.0, names), EARTH), unrolled=unrolled)
     state = np.concatenate([q + 1e-3 * np.random.default_rng(5).normal(size=len(q)), qd])
-    assert native.stabilise(system.native, PROJECTION, state)
+    assert system.native.stabilise(PROJECTION, state)
     np.testing.assert_allclose(dense.closure(mechanism, state[:len(q)]), 0.0, atol=1e-12)
     assert 1 <= system.work.health[PROJECTION_ITERATIONS] <= 4
     assert system.work.health[RANK_REVEALING_COUNT] == 0
@@ -83,7 +82,7 @@ def test_light_links_hide_neither_singular_nor_redundant_loops():
             (every_loop_twice(special.ladder(2, 0.4)[0]), *special.ladder(2, 0.4)[1:], 4)):
         mechanism = lighter(mechanism, 1e-6, ('coupler_0', 'coupler_1'))
         system = build_system(build_model(mechanism, EARTH))
-        native.evaluate(system.native, q, qd)
+        system.native.evaluate(q, qd)
         assert system.work.health[RANK_REVEALING_COUNT] == 1
         assert system.work.health[RANK] == rank
         assert np.isfinite(system.qdd).all()
@@ -97,7 +96,7 @@ def test_what_nothing_holds_needs_mass():
     system = build_system(build_model(
         replace(mechanism, bodies=bodies, joints=joints), EARTH))
     system.tau[-1] = 1.0
-    native.evaluate(system.native, np.append(q, 0.0), np.append(qd, 0.0))
+    system.native.evaluate(np.append(q, 0.0), np.append(qd, 0.0))
     assert np.isnan(system.qdd).all()
 
 
@@ -135,7 +134,7 @@ def test_a_hinge_may_lie_on_the_path_of_a_coupling_of_lengths(planar, by, mass):
     system.tau[:] = 0.3, 0.0, 0.0
     place, speed = 0.05, 3.0
     q, qd = np.array([0.4, place, place]), np.array([speed, 0.0, 0.0])
-    native.evaluate(system.native, q, qd)
+    system.native.evaluate(q, qd)
     # The arm's angular acceleration pushes one finger out and the other one in.
     np.testing.assert_allclose(system.qdd[1:], place * speed ** 2, rtol=1e-9)
     both = 0.02 + 0.2 ** 2 + 2.0 * mass * (1e-4 + 0.4 ** 2 + place ** 2)
@@ -156,7 +155,7 @@ def test_a_massless_link_that_no_force_turns_is_regular(unrolled):
     q, qd = np.array([0.3, lever - 0.3, lever]), np.zeros(3)
     system = build_system(build_model(mechanism, EARTH), unrolled=unrolled)
     system.tau[0] = 0.7
-    native.evaluate(system.native, q, qd)
+    system.native.evaluate(q, qd)
     expected = maximal.forward_dynamics(
         mechanism, q, qd, system.tau, EARTH, maximal.extended)
     for found, wanted in ((system.qdd, expected.qdd), (system.lam, expected.lam)):

@@ -11,7 +11,6 @@ from closedloop_dynamics.core.codegen.plane import possible
 from closedloop_dynamics.core.codegen.vectors import is_zero
 from closedloop_dynamics.core.types import (
     CUT_FIXED, CUT_PRISMATIC, CUT_REVOLUTE, CUT_TYPE, KEPT, SMALLEST_PIVOT)
-from closedloop_dynamics.engine import native
 from closedloop_dynamics.integration.system import build_system
 from closedloop_dynamics.simulation.modeling import build_model
 import numpy as np
@@ -78,7 +77,7 @@ def test_planar_results_are_those_of_planar_loops(name):
         for unrolled in (True, False):
             system = build_system(copy.deepcopy(model), unrolled=unrolled)
             system.tau[:] = tau
-            native.evaluate(system.native, q, qd)
+            system.native.evaluate(q, qd)
             results.append((system.qdd, system.lam))
         # Elimination multiplies rounding by the reciprocal of its smallest pivot.
         rounding = 100.0 * np.finfo(float).eps / system.work.health[SMALLEST_PIVOT]

@@ -43,8 +43,8 @@ def test_what_is_remembered_changes_nothing(closed, interpolation, seed):
     random = np.random.default_rng(seed)
     rows, memory = curve(random, closed, interpolation), forgotten()
     for x, y in walk(random):
-        found = native.curve_distance(rows.ravel(), closed, memory, x, y)
-        assert found == native.curve_distance(rows.ravel(), closed, forgotten(), x, y)
+        found = native.curve_distance(rows, closed, memory, x, y)
+        assert found == native.curve_distance(rows, closed, forgotten(), x, y)
 
 
 @pytest.mark.parametrize('closed', [True, False])
@@ -56,7 +56,7 @@ def test_no_place_of_a_straight_piece_is_nearer(closed, seed):
     for place in walk(random):
         share = np.clip(((place - starts) * ways).sum(axis=1) / (ways ** 2).sum(axis=1), 0.0, 1.0)
         expected = np.hypot(*(place - starts - share[:, None] * ways).T).min()
-        *_, distance = native.curve_distance(rows.ravel(), closed, memory, *place)
+        *_, distance = native.curve_distance(rows, closed, memory, *place)
         assert abs(distance) == pytest.approx(expected, rel=1e-12, abs=1e-16)
 
 
@@ -73,7 +73,7 @@ def test_no_place_of_a_smooth_curve_is_nearer(seed):
     for angle in np.cumsum(random.normal(scale=0.05, size=200)):
         height = 0.058 + random.uniform(0.0, 0.01)
         place = height * np.cos(angle), height * np.sin(angle)
-        *_, distance = native.curve_distance(rows.ravel(), True, memory, *place)
+        *_, distance = native.curve_distance(rows, True, memory, *place)
         # Between two of these places the distance falls by less than their own squared.
         assert distance == pytest.approx(
             np.hypot(x - place[0], y - place[1]).min(), abs=1e-9)

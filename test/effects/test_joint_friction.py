@@ -13,7 +13,6 @@ from closedloop_dynamics.effects.element import DISSIPATED, ForceElement, OWN, S
 from closedloop_dynamics.effects.gravity import Gravity
 from closedloop_dynamics.effects.joint_friction import JointFriction
 from closedloop_dynamics.effects.joint_spring import JointSpring
-from closedloop_dynamics.engine import native
 from closedloop_dynamics.integration import system
 from closedloop_dynamics.integration.registry import INTEGRATORS
 from closedloop_dynamics.mechanism.mechanism import Body, Joint, Mechanism, REVOLUTE
@@ -212,7 +211,7 @@ def test_friction_at_rest_makes_the_accelerations_least():
         made = table.static_friction
         made.matrix[:], made.right[:], made.bound[:] = root.T @ root, root.T @ free, 1.0
         found = np.zeros(count)
-        native.minimise_in_box(table, count, found)
+        table.minimise_in_box(count, found)
         best = lsq_linear(root, -free, (-1.0, 1.0), method='bvls', tol=1e-15, max_iter=500)
         assert np.abs(found).max() <= 1.0
         assert np.linalg.norm(root @ found + free) <= np.sqrt(2.0 * best.cost) * (

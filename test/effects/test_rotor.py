@@ -6,7 +6,6 @@
 from closedloop_dynamics.effects.gravity import Gravity
 from closedloop_dynamics.effects.payload import Payload
 from closedloop_dynamics.effects.rotor import Rotor
-from closedloop_dynamics.engine import native
 from closedloop_dynamics.integration.system import with_equations
 from closedloop_dynamics.mechanism.fields import FieldError
 from closedloop_dynamics.mechanism.mechanism import Body, CutJoint, Joint, Mechanism
@@ -115,12 +114,12 @@ def test_rotors_in_a_leg_leave_its_loop_to_the_elimination():
     one = simulated(mechanism, {'gravity': Gravity((0.0, 0.0, -9.81)), 'hip': Rotor('hip', 5.0),
                                 'pivot': Rotor('pivot', 5.0)}, 4 * [0.0], [2.0, 0.0, 0.0, 0.0])
     system = one.data.system
-    assert native.is_regular(system.native, one.position, one.velocity)
+    assert system.native.is_regular(one.position, one.velocity)
     # By loops over bodies, which refine what the same elimination without this leaves.
     loops = with_equations(system, system.model)
-    native.evaluate_state(loops.native, one.data.integrated)
+    loops.native.evaluate_state(one.data.integrated)
     expected = loops.qdd.copy(), loops.lam.copy()
-    native.evaluate_state(system.native, one.data.integrated)
+    system.native.evaluate_state(one.data.integrated)
     assert_agree(system.qdd, expected[0], 1e-11)
     assert_agree(system.lam, expected[1], 1e-11)
     one.step(duration=0.5)

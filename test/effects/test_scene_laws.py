@@ -8,7 +8,6 @@ from dataclasses import replace
 from closedloop_dynamics import Simulation
 from closedloop_dynamics.effects.element import DISSIPATED, STORED, WORK
 from closedloop_dynamics.effects.registry import EFFECTS
-from closedloop_dynamics.engine import native
 from closedloop_dynamics.integration.system import parts_of_state
 from closedloop_dynamics.mechanism.mechanism import Point
 from closedloop_dynamics.simulation.scene import load_scene
@@ -167,7 +166,7 @@ def found(system, state):
     """Return all that steps ask for of an evaluation of a state."""
     contacts = system.effects.contacts
     contacts.trial[:] = 0.0
-    native.evaluate_state(system.native, state)
+    system.native.evaluate_state(state)
     gaps, trials = contacts.now[contacts.rows], contacts.trial[contacts.rows]
     return [each.copy() for each in (
         system.qdd, system.lam, system.effects.rates, gaps[:, [GAP, RATE, PLACE, PLACE + 1]],
@@ -212,10 +211,10 @@ def test_one_routine_does_what_the_parts_do(name):
 def generalised_forces(system, q, qd):
     """Return what is exerted along the coordinates of the tree at rest [N m; N]."""
     need, effects, work = np.zeros(len(qd)), system.effects, system.work
-    native.outward(system.model, q, qd, work)
-    native.apply_effects(effects, work.body, q, qd, np.zeros(len(system.tau)))
-    native.bias_forces(work, effects.reaction)
-    native.tree_torque(system.model, work, np.zeros(len(qd)), need)
+    system.model.outward(q, qd, work)
+    effects.apply_effects(work.body, q, qd, np.zeros(len(system.tau)))
+    work.bias_forces(effects.reaction)
+    system.model.tree_torque(work, np.zeros(len(qd)), need)
     return effects.applied[:len(qd)] - need
 
 

@@ -24,7 +24,6 @@ from closedloop_dynamics.effects.payload import Payload
 from closedloop_dynamics.effects.point_spring import PointSpring
 from closedloop_dynamics.effects.prescribed_force import PrescribedForce
 from closedloop_dynamics.effects.rotor import Rotor
-from closedloop_dynamics.engine import native
 from closedloop_dynamics.mechanism.fields import FieldError
 from closedloop_dynamics.mechanism.mechanism import Body, GROUND, Joint, Mechanism, Point
 from closedloop_dynamics.simulation.modeling import build_model, mechanism_arrays
@@ -51,7 +50,7 @@ def accelerations(mechanism, q, qd, tau, effects):
     numbers.move(q, qd)
     body = np.zeros((len(built.model.tree), WORK_COLUMNS))
     numbers.write(body)
-    native.apply_effects(table, body, q, qd, tau)
+    table.apply_effects(body, q, qd, tau)
     numbers.read(body)
     return numbers.accelerations(table.applied, 0.0)[0], table
 

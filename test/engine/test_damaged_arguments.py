@@ -10,6 +10,7 @@ run.
 """
 
 from copy import deepcopy
+import ctypes
 import random
 
 from closedloop_dynamics.core.codegen.workspace import allocate
@@ -21,12 +22,14 @@ from closedloop_dynamics.effects.joint_spring import JointSpring
 from closedloop_dynamics.effects.law import Law
 from closedloop_dynamics.engine import native
 from closedloop_dynamics.integration.registry import PROJECTION
+from closedloop_dynamics.simulation.derivative_code import DerivativeCode
 from closedloop_dynamics.simulation.model import Model
 from closedloop_dynamics.simulation.pose_grid import Axis, Platform, PoseGrid
 from closedloop_dynamics.simulation.rollout_run import QUANTITIES
 from closedloop_dynamics.simulation.scene import load_scene
 from closedloop_dynamics.simulation.sensitivity import Sensitivity
 from closedloop_dynamics.simulation.simulation import Simulation
+from closedloop_dynamics.simulation.traced_scene import TracedScene
 import numpy as np
 import pytest
 
@@ -43,31 +46,31 @@ RUNS = [('three_rrr', 'rk4'), ('three_rrr', 'rodas4'), ('three_rrr', 'rodas4_fix
 # Addresses of code, which nothing can check.
 ADDRESSES = ('table',)
 NAMELESS_ADDRESSES = {
-    ('run_batch', (0, 0)), ('system', (10,)), ('with_equations', (3,)), ('use_equations', (3,))}
+    ('run_batch', (0, 0)), ('system', (10,)), ('with_equations', (3,)), ('use_equations', (3,)),
+    ('callable_dynamics', (3,))}
 # Functions to whose arguments generated code has the addresses: these very arrays are handed over.
 LINKED = ('run_batch',)
 # Functions that return a system.
-SYSTEMS = ('system', 'with_equations', 'with_independent', 'copy_system')
+SYSTEMS = ('system', 'with_equations', 'with_independent', 'copy')
 # Any length will do: of values, of places, of bodies behind the last one that is asked for; or the
 # function returns that it has done nothing.
 ANY_LENGTH = {
     ('model', 4), ('system', 3), ('system', 10), ('with_equations', 3), ('use_equations', 3),
     ('largest', 0), ('points_in_state', 2), ('points_in_state', 3), ('points_in_state', 4),
-    ('sum_of_sizes', 0), ('reach_poses', 9), ('nearest_to_path', 0),
+    ('sum_of_sizes', 0), ('reach_poses', 9), ('nearest_to_path', 0), ('curve_distance', 0),
     ('spread_torques', 0),
     ('spread_torques', 1), ('spread_torques', 2), ('evaluate_given', 2), ('evaluate_given', 3),
     ('evaluate_given', 4), ('find_torques', 6), ('find_torques', 7), ('find_torques', 8),
     ('find_joint_forces', 4), ('advance_run', 1),
-    ('cut_wrenches', 2), ('place_points', 0), ('place_points', 1), ('cut_direction', 0),
-    ('cut_direction', 3), ('bias_forces', 1), ('minimise_in_box', 2), ('energies', 3),
-    ('correct_errors', 11), ('rates_of_coordinates', 1), ('rates_of_coordinates', 3),
-    ('run_samples', 1),
-    ('run_samples', 2), ('close_loops', 4), ('callable_steps', 5)}
+    ('cut_wrenches', 2), ('place_points', 1), ('cut_axis', 1), ('bias_forces', 1),
+    ('minimise_in_box', 2), ('correct_errors', 11), ('rates', 1), ('rates', 2), ('run_samples', 1),
+    ('run_samples', 2), ('callable_steps', 5), ('callable_dynamics', 2), ('callable_dynamics', 3)}
 REFUSALS = (TypeError, ValueError, BufferError, OverflowError)
 
 
 # Types of the engine whose objects have methods.
-TYPES = native.Run, native.Snapshot
+TYPES = (native.Model, native.Workspace, native.Manifold, native.EffectTable, native.System,
+         native.Run, native.Snapshot, native.StopFlag, native.Callable)
 
 
 def place_of(name):
@@ -87,6 +90,8 @@ class Recorder:
         self.calls = {}
 
     def note(self, name, *arguments):
+        # Methods are called with objects of their type, not with what has one.
+        arguments = tuple(getattr(each, 'native', each) for each in arguments)
         shapes = repr([shape(each) for each in arguments])
         self.calls.setdefault(name, {}).setdefault(shapes, arguments)
 
@@ -156,6 +161,7 @@ def use_kernels(simulation, note):
     q, qd = state[:nq].copy(), state[nq:nq + nv].copy()
 
     def call(name, *arguments):
+        arguments = tuple(getattr(each, 'native', each) for each in arguments)
         note(name, *arguments)
         return function(name)(*copied(arguments))
 
@@ -181,7 +187,6 @@ def use_kernels(simulation, note):
     call('evaluate_again', handle, state, 2)
     call('derivative', handle, state, np.zeros_like(state))
     call('stabilise', handle, PROJECTION, state)
-    call('equations_suffice', handle, PROJECTION, state)
     call('advance_run', run, system.tau.copy(), 2)
     call('make_steps', run, 1e-3, 2, 2)
     call('command', run, system.tau.copy())
@@ -205,7 +210,6 @@ def use_kernels(simulation, note):
     call('write_kept', run, False, simulation.state)
     call('set_guard_limits', run, simulation.stepping.run.guard_limits,
          np.zeros(0, dtype=np.int64))
-    call('move', system.manifold, q, qd, 0.1)
     every = with_all_equations(model)
     nc, numbers = len(simulation.constraint_jacobian), np.arange(max(nv, 6))
     loops = Loops(np.ones(nc, dtype=np.int64), numbers[:min(nc, 2)].copy(), numbers[:nv].copy(),
@@ -221,9 +225,11 @@ def use_kernels(simulation, note):
     call('search_loops', *solver, q, loops, far, 1e-9, 3)
     call('loop_residuals', *solver, q, loops, far, far.target.copy(),
          np.zeros((len(far.target), nv)))
-    call('rates_of_coordinates', system.manifold, state, nv, np.zeros(nq), 1)
+    if system.manifold is not None:
+        call('move', system.manifold, q, qd, 0.1)
+        call('rates', system.manifold, state, np.zeros(nq))
     call('fill_quaternions', np.tile(np.eye(3), (2, 1, 1)), np.zeros((2, 4)))
-    call('nearest_to_path', np.array([0.0, 1, 0, 0, 0, 1, 0, 0]), 0.0, 1.0, 1.0, 0.0)
+    call('nearest_to_path', np.array([[0.0, 1, 0, 0, 0, 1, 0, 0]]), 0.0, 1.0, 1.0, 0.0)
     if system.whole is not None:
         call('find_all_multipliers', handle, q, qd, np.zeros_like(system.whole.lam))
     elif effects is None or not len(effects.cuts.index):
@@ -239,8 +245,9 @@ def use_kernels(simulation, note):
     call('minimise_in_box', effects, len(effects.static_friction.rows) - 1,
          np.zeros(len(effects.static_friction.rows)))
     cuts = effects.cuts
-    for k, index in enumerate(cuts.index):
-        call('cut_direction', work.body, int(index[2]), bool(index[1]), cuts.values, k, 6)
+    for k in range(len(cuts.index)):
+        call('cut_axis', effects, work.body, k)
+        call('cut_accelerations', effects, model, work, system.qdd, True, cuts.qdd)
         call('measure_cut_coordinates', effects, work.body, cuts.q, cuts.qd)
 
 
@@ -252,13 +259,35 @@ def use_driver(simulation, integrator):
         simulation.stepping.run.aim(1e-5)
 
 
+def dynamics(scene):
+    """Have accelerations of a scene called by address; return what that works with."""
+    data = Simulation.from_scene(scene).data
+    qdd, lam = np.zeros(len(data.system.qdd)), np.zeros(len(data.system.lam))
+    code = DerivativeCode(data, qdd, lam, scene=TracedScene(data, instant=True))
+    return data, code, data.system.native.callable_dynamics(
+        data.integrated.copy(), np.array(data.actuated, dtype=np.int64), code.table, qdd, lam,
+        code.columns, code.found)
+
+
+def call_rows(of, state):
+    """Call the functions of a callable by their addresses for a state, which may be refused."""
+    address, *functions = of.addresses()
+    arrays = [np.resize(state, 100), *np.zeros((8, 100))]
+    given, found = ((ctypes.c_void_p * len(some))(*(each.ctypes.data for each in some))
+                    for some in (arrays[:6], arrays[6:]))
+    kind = ctypes.CFUNCTYPE(
+        ctypes.c_int64, ctypes.c_void_p, ctypes.c_int64, ctypes.c_void_p, ctypes.c_void_p)
+    for each in functions:
+        kind(each)(address, 1, given, found)
+
+
 @pytest.fixture(scope='module')
 def calls(tmp_path_factory):
     """Yield the arguments of the engine's functions in some simulations, by name."""
     recorder = Recorder()
     names = [name for place in (native, *TYPES) for name in dir(place)
              if callable(getattr(place, name)) and not name.startswith('_')
-             and getattr(place, name) not in (*TYPES, native.StopFlag)]
+             and getattr(place, name) not in TYPES and name != 'views']
     # What they build to differentiate by parameters is kept by nobody.
     sensitivities = [
         Sensitivity(Model.from_scene(scene), {'integrator': integrator, 'step_size': 1e-3},
@@ -291,18 +320,17 @@ def calls(tmp_path_factory):
         stepper = test_stepper.Case('rssr_four_bar')
         stepper.after(stepper.q, stepper.qd, stepper.tau)
         stepper.stepper.change_independent()
-        kept = stepper.stepper.called_by_address()
+        kept = stepper.stepper.called_by_address(), dynamics('rssr_four_bar')
         test_correction.corrected(*test_correction.drawn())
         pieces = test_curve_search.curve(np.random.default_rng(0), True, 'cubic')
-        native.curve_distance(pieces.ravel(), True, test_curve_search.forgotten(), 0.05, 0.01)
+        native.curve_distance(pieces, True, test_curve_search.forgotten(), 0.05, 0.01)
     for simulation in simulations:
         use_kernels(simulation, recorder.note)
     for handle, request, *_ in list(recorder.calls['evaluate_given'].values()):
         recorder.note('evaluate_request', handle, handle, request)
     # The first ones take no arrays, the others addresses of code and what it was generated for.
     without_arrays = {'stop_flag', 'set_stop', 'heed', 'call', 'call_for_columns', 'keep_law',
-                      'copy_system', 'model_of', 'effects_of', 'snapshot', 'restore',
-                      'callable_dynamics', 'fill_dynamics_addresses'}
+                      'copy', 'own_model', 'own_effects', 'snapshot', 'restore', 'addresses'}
     assert set(names) - set(recorder.calls) <= {'bind', *without_arrays}
     for name in without_arrays:
         recorder.calls.pop(name, None)
@@ -386,11 +414,14 @@ def attack(draw, name, arguments):
     fault, linked = damaged(draw, names, value), name in LINKED
     before = copied(arguments)
     try:
-        found = function(name)(
-            *changed(arguments, path, fault, (lambda same: same) if linked else copied))
+        # Callables work with arrays that the caller keeps.
+        given = changed(arguments, path, fault, (lambda same: same) if linked else copied)
+        found = function(name)(*given)
         if name in SYSTEMS:
             assert len([length for length in range(100)
-                        if takes(found[0], np.zeros(length))]) == 1
+                        if takes(found, np.zeros(length))]) == 1
+        if name.startswith('callable'):
+            call_rows(found, arguments[1] if name == 'callable_dynamics' else arguments[3][0][0])
     except REFUSALS:
         return True
     finally:
@@ -403,9 +434,9 @@ def attack(draw, name, arguments):
 def takes(system, state):
     """Return whether a system evaluates a state of this length."""
     try:
-        native.evaluate_with_poses(system, state)
-        native.stabilise(system, PROJECTION, state)
-        native.derivative(system, state, np.zeros_like(state))
+        system.evaluate_with_poses(state)
+        system.stabilise(PROJECTION, state)
+        system.derivative(state, np.zeros_like(state))
     except REFUSALS:
         return False
     return True

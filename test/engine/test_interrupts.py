@@ -215,4 +215,4 @@ def test_a_rollout_that_fails_ends_no_work_of_other_threads(monkeypatch):
 def test_a_stop_that_is_none_is_refused(arguments):
     flag, stops = arguments
     with pytest.raises((ValueError, TypeError)):
-        native.set_stop(native.stop_flag(0) if flag == 'flag' else flag, stops)
+        native.StopFlag.set_stop(native.stop_flag(0) if flag == 'flag' else flag, stops)

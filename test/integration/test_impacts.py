@@ -115,7 +115,7 @@ def test_a_path_is_as_near_to_an_outline_as_its_places_are():
         turns = np.sort(rng.uniform(0.0, 2.0 * np.pi, 7))
         radii = rng.uniform(0.5, 1.0, 7)
         corners = np.column_stack((radii * np.cos(turns), radii * np.sin(turns)))
-        data = np.ravel(curve.straight(np.vstack((corners, corners[:1]))))
+        data = np.reshape(curve.straight(np.vstack((corners, corners[:1]))), (-1, 8))
         one, other = rng.uniform(-1.5, 1.5, (2, 2))
         distance, along = native.nearest_to_path(data, *one, *other)
         places = one + np.linspace(0.0, 1.0, 4001)[:, None] * (other - one)

@@ -10,7 +10,6 @@ and cost O((n + m)^3) and O(n^3 + m^3). ``dense`` has twins that share nothing w
 """
 
 from closedloop_dynamics.core.types import NO_RESPONSES
-from closedloop_dynamics.engine import native
 import numpy as np
 from scipy.linalg import lapack
 
@@ -88,15 +87,15 @@ class Dense:
         among the coordinates.
         """
         system, model, work = self.system, self.system.model, self.system.work
-        native.outward(model, q, qd, work)
+        model.outward(q, qd, work)
         if system.effects is not None:
-            native.apply_effects(system.effects, work.body, q if system.manifold is None else
+            system.effects.apply_effects(work.body, q if system.manifold is None else
                                  system.manifold.number, qd, system.tau)
-        native.update(model, work, NO_RESPONSES)
-        native.constraint_jacobian(model, work, self._jac)
-        native.to_user_order(model, work.bias, self._bias)
-        native.tree_torque(model, work, self._still, self._rest)
-        native.generalized_inertia_matrix(model, work, self._gim)
+        model.update(work, NO_RESPONSES)
+        model.constraint_jacobian(work, self._jac)
+        model.to_user_order(work.bias, self._bias)
+        model.tree_torque(work, self._still, self._rest)
+        model.generalized_inertia_matrix(work, self._gim)
         return self._solve(self._gim, self._jac, system.applied - self._rest, -self._bias)
 
 

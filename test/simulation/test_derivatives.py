@@ -21,7 +21,6 @@ from closedloop_dynamics.effects.law import Law
 from closedloop_dynamics.effects.point_spring import PointSpring
 from closedloop_dynamics.effects.prescribed_force import PrescribedForce
 from closedloop_dynamics.effects.tendon import Tendon
-from closedloop_dynamics.engine import native
 from closedloop_dynamics.integration import system
 from closedloop_dynamics.simulation.derivatives import Differentiator
 from closedloop_dynamics.simulation.errors import SimulationError, SingularityError
@@ -161,9 +160,9 @@ def twin(scene, effects, command, present):
         if simulation.data.system.manifold is None:
             state[:nq] += change[:nv]
         else:
-            native.move(simulation.data.system.manifold, state[:nq], change[:nv].copy(), 1.0)
+            simulation.data.system.manifold.move(state[:nq], change[:nv].copy(), 1.0)
         simulation.data.system.tau[:] = tau + change[2 * nv:]
-        native.evaluate_state(simulation.data.system.native, state)
+        simulation.data.system.native.evaluate_state(state)
         return np.concatenate((simulation.data.system.qdd, simulation.data.system.lam))
     return moved
 
@@ -394,7 +393,7 @@ def require_wrenches(scene, keys, effects=(), step=1e-3):
         if manifold is None:
             state[:nv] += change[:nv]
         else:
-            native.move(manifold, state[:len(q)], change[:nv].copy(), 1.0)
+            manifold.move(state[:len(q)], change[:nv].copy(), 1.0)
         dense.data.integrated[:] = simulation.data.integrated
         dense.data.integrated[:len(state)], dense.data.system.tau[:] = state, tau + change[2 * nv:]
         dense.data.touch()

@@ -9,7 +9,6 @@ import math
 from types import SimpleNamespace
 
 from closedloop_dynamics.core.types import RANK_REVEALING_COUNT
-from closedloop_dynamics.engine import native
 from closedloop_dynamics.simulation.scene_records import Method
 from closedloop_dynamics.simulation.simulation import Simulation
 import numpy as np
@@ -69,7 +68,7 @@ def test_effects_act_on_the_copy_that_samples_are_computed_with():
     one.step(duration=0.1)
     other.effects.states[:] = one.data.system.effects.states
     for system in (one.data.system, other):
-        native.evaluate(system.native, one.position, one.velocity)
+        system.native.evaluate(one.position, one.velocity)
     assert np.array_equal(other.qdd, one.data.system.qdd)
 
 

@@ -11,7 +11,6 @@ from closedloop_dynamics.effects.actuator import Actuator
 from closedloop_dynamics.effects.joint_damping import JointDamping
 from closedloop_dynamics.effects.joint_spring import JointSpring
 from closedloop_dynamics.effects.sensor import Sensor
-from closedloop_dynamics.engine import native
 from closedloop_dynamics.integration.registry import FIXED, INTEGRATORS
 from closedloop_dynamics.integration.system import parts_of_state
 from closedloop_dynamics.mechanism.fields import FieldError
@@ -265,10 +264,10 @@ def test_rates_of_coordinates_are_what_changes_make_of_them(chain):
     system, names = chain.data.system, chain.coordinates
     q, qd, *_, states = parts_of_state(system)
     state, rates = chain.data.integrated.copy(), np.zeros(states)
-    native.derivative(system.native, state.copy(), rates)
+    system.native.derivative(state.copy(), rates)
     before, after = state.copy(), state.copy()
-    native.move(system.manifold, before[q], state[qd], -1e-6)
-    native.move(system.manifold, after[q], state[qd], 1e-6)
+    system.manifold.move(before[q], state[qd], -1e-6)
+    system.manifold.move(after[q], state[qd], 1e-6)
     assert_agree(rates[q], (after[q] - before[q]) / 2e-6, 1e-9)
     # The engine does what Python does.
     assert_agree(after[q], names.moved(state[q], 1e-6 * state[qd]), 1e-15)

@@ -11,7 +11,6 @@ from closedloop_dynamics.core.types import RANK_REVEALING_COUNT
 from closedloop_dynamics.effects.gravity import Gravity
 from closedloop_dynamics.effects.joint_damping import JointDamping
 from closedloop_dynamics.effects.payload import Payload
-from closedloop_dynamics.engine import native
 from closedloop_dynamics.integration import system
 from closedloop_dynamics.integration.registry import PROJECTION
 from closedloop_dynamics.mechanism.fields import FieldError
@@ -140,17 +139,17 @@ def test_what_stands_in_for_the_elimination_gives_the_same(linkage):
     q, qd = one.position, one.velocity
     opened = np.concatenate([q + 1e-6, qd + 1e-3])
     closed = opened.copy()
-    assert native.stabilise(system.native, PROJECTION, closed)
+    assert system.native.stabilise(PROJECTION, closed)
     kept = [without_success(system.table, place) for place in (
         calls.EVALUATION, calls.ACCELERATION, calls.REFINED_ACCELERATION,
         calls.CORRECTION, calls.REFINED_CORRECTION)]
     before = system.work.health[RANK_REVEALING_COUNT]
-    native.evaluate(system.native, q, qd)
+    system.native.evaluate(q, qd)
     assert system.work.health[RANK_REVEALING_COUNT] == before + 1
     assert_agree(system.qdd, expected, 1e-10)
     assert_agree(system.lam, forces, 1e-10)
     # Corrections take away what opens the loops.
-    assert native.stabilise(system.native, PROJECTION, opened)
+    assert system.native.stabilise(PROJECTION, opened)
     assert_agree(opened, closed, 1e-9)
     assert len(kept) == 5
 

@@ -11,7 +11,6 @@ from closedloop_dynamics.effects.joint_friction import JointFriction
 from closedloop_dynamics.effects.joint_spring import JointSpring
 from closedloop_dynamics.effects.point_spring import PointSpring
 from closedloop_dynamics.effects.rotor import Rotor
-from closedloop_dynamics.engine import native
 from closedloop_dynamics.integration import system
 from closedloop_dynamics.mechanism.mechanism import (
     GROUND, JOINT_FREEDOMS, Point, PRISMATIC, REVOLUTE)
@@ -78,8 +77,8 @@ def test_forces_in_joints_are_those_of_maximal_coordinates(seed):
     qdd, lam, _ = engine.forward_dynamics(q, qd, tau)
     equations = at(engine.model, q, qd)
     rows = np.zeros((len(engine.model.tree), 12))
-    native.bias_forces(equations.work, rows)
-    native.joint_wrenches(equations.model, equations.work, qdd, lam, rows)
+    equations.work.bias_forces(rows)
+    equations.model.joint_wrenches(equations.work, qdd, lam, rows)
     rows = rows[:, :6]
     motions = twin.forward(mechanism, q, qd, qdd)[0]
     known, found = reactions(mechanism, q, qd, expected), {}
@@ -94,7 +93,7 @@ def test_forces_in_joints_are_those_of_maximal_coordinates(seed):
     assert_agree(list(found.values()), [known[name] for name in found], 1e-8)
     # Along the joints' freedoms they are the forces that drive them, loops closed.
     forces = np.zeros(engine.nv)
-    native.tree_torque(equations.model, equations.work, qdd, forces)
+    equations.model.tree_torque(equations.work, qdd, forces)
     assert_agree(forces, tau + equations.jacobian().T @ lam, 1e-9)
     # Wrenches at the cut joints, of all equations.
     assert_agree(equations.cut_wrenches(lam, equations.work.body)[:len(mechanism.cut_joints)],

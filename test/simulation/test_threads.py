@@ -9,7 +9,6 @@ import sys
 import threading
 
 from closedloop_dynamics import Model, Simulation, SimulationError
-from closedloop_dynamics.engine import native
 import numpy as np
 import pytest
 
@@ -168,7 +167,7 @@ def test_systems_are_pickled_as_what_they_are_built_from(scene):
     other = pickle.loads(pickle.dumps(system))
     state = simulation.data.integrated
     for each in (system, other):
-        native.evaluate_with_poses(each.native, state)
+        each.native.evaluate_with_poses(state)
     np.testing.assert_array_equal(other.qdd, system.qdd)
     np.testing.assert_array_equal(other.lam, system.lam)
     assert other.routines == system.routines

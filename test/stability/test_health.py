@@ -10,7 +10,6 @@ from closedloop_dynamics.core.types import CUT_ROW, ROW
 from closedloop_dynamics.effects.actuator import Actuator
 from closedloop_dynamics.effects.joint_damping import JointDamping
 from closedloop_dynamics.effects.joint_spring import JointSpring
-from closedloop_dynamics.engine import native
 from closedloop_dynamics.integration.system import build_system
 from closedloop_dynamics.mechanism.mechanism import Body, MechanismError
 from closedloop_dynamics.mechanism.reader import read_mechanism
@@ -319,7 +318,7 @@ def test_accelerations_of_many_loops_in_one_line_are_those_of_the_branch(tilt, e
     # Beside the branch, as a step leaves a state. Where the accelerations are asked, an error of
     # the rates is divided by 0.002.
     q, qd = (values + error * random.normal(size=len(q)) for values in (q, qd))
-    native.evaluate(system.native, q, qd)
+    system.native.evaluate(q, qd)
     exact = dense.EARTH[1] * math.cos(tilt) * (
         (loops + 1) / 2 + loops) / ((loops + 1) / 3 + loops)
     assert np.abs(system.qdd[::2] - exact).max() < 1e-6
@@ -330,6 +329,6 @@ def test_accelerations_of_many_loops_in_one_line_are_those_of_the_branch(tilt, e
 def test_numbers_that_cannot_be_decomposed_leave_no_accelerations(beyond, capfd):
     mechanism, q, _ = machines.three_rockers()
     system = build_system(build_model(mechanism, (0.0, -9.81)))
-    native.evaluate(system.native, q, np.full(len(q), beyond))
+    system.native.evaluate(q, np.full(len(q), beyond))
     assert np.isnan(system.qdd).all()
     assert 'Exception' not in capfd.readouterr().err
