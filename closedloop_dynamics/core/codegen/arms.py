@@ -24,7 +24,7 @@ import functools
 from . import elimination
 from .expression_graph import chosen, larger
 from .forward_dynamics import to_user_order
-from .spatial import at_parent, shifted, Z
+from .spatial import Z
 from .vectors import (
     add, cross, dot, is_number, negate, scale, subtract, symmetric, times, transpose, ZERO)
 from ..types import (
@@ -373,28 +373,13 @@ def total(values):
 
 def _assemble(recursion, model, work, tau, baumgarte, plan):
     """Return the equations of motion and of closure; floating bodies are roots of their own."""
-    found, inertia, force = _Equations(), list(recursion.inertia), list(recursion.force)
-    tau = recursion.about_world(model, tau)
-    for i in range(len(plan.parent) - 1, 0, -1):
-        p, motion, wrench = plan.parent[i], recursion.motion[i], 2 * ZERO
-        armature, momentum = recursion.bodies[i].armature, recursion.rotor[i]
-        found.add(i, i, 0.0 if armature is None else armature)
-        found.add_right(i, tau[model.tree[i, DOF]] - dot(
-            momentum, recursion.motion[p].spin_rate))
-        if i in plan.floating:
-            for n in plan.floating[i]:
-                found.add_right((i, n), 0.0 - force[i][n])
-                for m in range(n, 6):
-                    found.add((i, n), (i, m), inertia[i][n][m])
-        else:
-            wrench = times(inertia[i], motion.axis)
-            found.add(i, i, dot(motion.axis, wrench))
-            found.add_right(i, 0.0 - dot(motion.axis, force[i]))
-            if p > 0:
-                inertia[p] = tuple(map(add, inertia[p], shifted(inertia[i], motion.offset)))
-                force[p] = add(force[p], at_parent(force[i], motion.offset))
-        wrench = add(at_parent(wrench, motion.offset), momentum + ZERO)
-        _spread(recursion, plan, {p: wrench}, i, found)
+    found = _Equations()
+    matrix, right = recursion.equations_of_motion(
+        model, recursion.about_world(model, tau), plan.floating)
+    for pair, value in matrix.items():
+        found.add(*pair, value)
+    for key, value in right.items():
+        found.add_right(key, value)
     for body, components in plan.floating.items():
         for n in components:
             row, unit = (_EQUATION, body, n), tuple(float(m == n) for m in range(6))

@@ -55,17 +55,21 @@ def accelerate(recursion, model, work, tau, baumgarte, qdd, lam):
     outward and inward is left half done, at the factors, where it already gives Ibar.
 
     """
-    right = work.right
     work.health[EVALUATIONS] += 1.0
     if not prepare(recursion, model, tau, work):
         return False
-    free_acceleration(model, work, right)
-    constraint_right_side(work, baumgarte, right)
-    elimination.solve(model, work, right)
-    apply(model, work, right)
+    solve(model, work, baumgarte)
     recursion.outward_acceleration(model, work, qdd)
-    to_user_order(model, right, lam)
+    to_user_order(model, work.right, lam)
     return True
+
+
+def solve(model, work, baumgarte):
+    """Compute the multipliers, in ``work.right``, and add their forces to the joints' RHS."""
+    free_acceleration(model, work, work.right)
+    constraint_right_side(work, baumgarte, work.right)
+    elimination.solve(model, work, work.right)
+    apply(model, work, work.right)
 
 
 def free_acceleration(model, work, out):

@@ -97,7 +97,7 @@ class LiveTrace(MechanismTrace):
 
     def evaluation(self):
         """Accelerations, multipliers and rates of the effects' states."""
-        self.recursion.outward(self.model, self.q, self.qd, self.work)
+        self.move()
         forces = LiveForces(self)
         self.laws.act(forces)
         torque = self.symbols(COMMAND, (self.nv,)) + forces.torque

@@ -9,7 +9,8 @@ import math
 import numpy as np
 
 from . import (
-    arms, elimination, embedding, forward_dynamics, joint_forces, plane, refinement, space)
+    arms, elimination, embedding, forward_dynamics, joint_forces, joint_space, plane, refinement,
+    space)
 from .expression_graph import (
     ADD, ARCTANGENT, CALL, DIVIDE, EXPONENTIAL, ExpressionGraph, graph_of, LOAD, LOGARITHM,
     MULTIPLY, NEGATE, POWER, Q, QD, Routine, SQUARE_ROOT, SUBTRACT, TooManyOperations)
@@ -21,7 +22,6 @@ from .function_table import (
 from .linear_map import divided
 from .machine_code import machine_code, PACKED
 from .rows import by_column, columns_of, matrix, six
-from .spatial import Recursion
 from .vectors import in_space, times, transpose
 from .workspace import zeros_like_workspace
 from .. import cache
@@ -56,7 +56,10 @@ def topology(model):
 RECORDED = 2
 # Place of the mechanism's size behind Baumgarte's rate among the settings of a system.
 _SIZE = 4
-_addresses, sizes = {}, {}
+_addresses, sizes, _shorter = {}, {}, {}
+# Methods that work on the equations of motion in the joints' coordinates, and rows of the tree up
+# to which both are traced for the shorter one.
+IN_JOINTS, MOST_ROWS = (arms, joint_space), 20
 
 
 def addresses(model, which, form=PACKED, joints=None):
@@ -143,16 +146,30 @@ def count_operations(routine):
     return sum(routine.graph.operations[place][0] in kinds for place in routine.needed())
 
 
+def is_shorter_in_joints(model):
+    """Return whether an evaluation without arms takes fewer operations by ``joint_space``."""
+    if len(model.tree) > MOST_ROWS:
+        return False
+    key = topology(model)
+    if key not in _shorter:
+        many, few = (count_operations(MechanismTrace(
+            model, with_arms=False, by=by).routine(EVALUATION))
+            for by in (forward_dynamics, joint_space))
+        _shorter[key] = few < many
+    return _shorter[key]
+
+
 class MechanismTrace:
     """
     One mechanism with symbols in the place of all numbers that may change.
 
     ``joints``: of which ``least_forces`` are found, and what is ``left_out``; ``with_arms``:
     whether accelerations are found by ``arms`` where there are any; ``most``: operations that may
-    be recorded.
+    be recorded; ``by``: the module that finds accelerations where no arms and ``embedding`` do,
+    by default that of fewer operations.
     """
 
-    def __init__(self, model, joints=None, with_arms=True, most=math.inf):
+    def __init__(self, model, joints=None, with_arms=True, most=math.inf, by=None):
         self.graph, self.joints = ExpressionGraph(most), joints
         self.nv, self.nc = len(model.tree) - 1, len(model.column) - 1
         self.constant = model
@@ -169,10 +186,11 @@ class MechanismTrace:
         self.arrays = space if space.is_spatial(model) else plane
         bodies = self.arrays.bodies(model, self.model.body)
         cuts = self.arrays.cuts(model, self.model.cut_point)
-        self.recursion = Recursion(
+        self.recursion = joint_space.JointSpace(
             bodies, cuts, (*self.model.gravity, *(3 - len(model.gravity)) * (0.0,)),
             space.hinges(model, bodies, cuts) if self.arrays is space else ())
         self.with_arms = with_arms and arms.Plan.of(self.recursion, model) is not None
+        self.by = by
 
     def cut_points(self):
         """Return symbols for ``Model.cut_point``."""
@@ -195,7 +213,7 @@ class MechanismTrace:
     def routine(self, which):
         """Return one of the routines; a trace serves for one."""
         self.by_arms = False
-        if self.with_arms and which in (EVALUATION, ACCELERATION):
+        if which in (EVALUATION, ACCELERATION) and self.method() in IN_JOINTS:
             self.recursion.hinges = ()
         try:
             getattr(self, NAMES[which])()
@@ -225,9 +243,14 @@ class MechanismTrace:
 
     def evaluation(self):
         """Accelerations and multipliers of a state where nothing but gravity and torques acts."""
-        self.recursion.outward(self.model, self.q, self.qd, self.work)
+        self.move()
         self.store_accelerations(*self.accelerate())
         self.store_closures()
+
+    def move(self):
+        """Run the outward recursion before accelerations, which add forces of motion then."""
+        self.recursion.apart = self.method() in IN_JOINTS
+        self.recursion.outward(self.model, self.q, self.qd, self.work)
 
     def outward(self):
         """Poses, velocities and inertial forces, to which effects add."""
@@ -277,6 +300,7 @@ class MechanismTrace:
                 acceleration=plane.motion_of(body[0], one.bodies[0], one.ground).acceleration)
             one.motion = [one.ground, *(arrays.motion_of(row, each, one.ground)
                                         for row, each in zip(body[1:], one.bodies[1:]))]
+            one.view_in_world()
         one.force = [None, *(six(row, arrays.FORCES) for row in body[1:])]
 
     def acceleration(self, by=None):
@@ -295,7 +319,11 @@ class MechanismTrace:
         if self.with_arms:
             self.by_arms = True
             return arms
-        return embedding if self.embeds() else forward_dynamics
+        if self.embeds():
+            return embedding
+        if self.by is None:
+            self.by = joint_space if is_shorter_in_joints(self.constant) else forward_dynamics
+        return self.by
 
     def embeds(self):
         """Return whether loops close on bodies: they are eliminated there."""
@@ -340,8 +368,9 @@ class MechanismTrace:
 
     def response(self, tau):
         """Return the accelerations and multipliers that torques alone add, at this position."""
-        recursion = Recursion(
+        recursion = joint_space.JointSpace(
             self.recursion.bodies, self.recursion.cuts, (0.0, 0.0, 0.0), self.recursion.hinges)
+        recursion.apart = self.recursion.apart
         work = zeros_like_workspace(self.constant)
         recursion.outward(self.model, self.q, zeros(self.nv), work)
         qdd, lam = zeros(self.nv), zeros(self.nc)

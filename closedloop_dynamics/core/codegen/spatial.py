@@ -199,6 +199,8 @@ class Recursion:
     force : list of tuples of 6
         Forces for the accelerations of ``motion``; with those of all bodies further out after
         ``inward``.
+    apart : bool
+        Whether ``force`` is that of effects alone, without the forces of ``motion``.
     rotor : list of tuples of 3
         Angular momentum of rotors on the parents for unit rates of the bodies' joints, in world
         axes.
@@ -206,7 +208,7 @@ class Recursion:
     """
 
     def __init__(self, bodies, cuts, gravity, hinges=()):
-        self.bodies, self.cuts, self.hinges = bodies, cuts, hinges
+        self.bodies, self.cuts, self.hinges, self.apart = bodies, cuts, hinges, False
         # Elsewhere loops may close on bodies whose angles are counted from different frames.
         self.is_parallel = all(
             body is None or body.turned is None and not body.ball for body in bodies)
@@ -236,7 +238,7 @@ class Recursion:
             inertia, force = rigid(self.bodies[i], motion)
             self.motion.append(motion)
             self.inertia.append(inertia)
-            self.force.append(force)
+            self.force.append(2 * ZERO if self.apart else force)
             rotor = times(self.motion[p].frame, self.bodies[i].rotor)
             self.rotor[i] = rotor
             if not is_zero(rotor):
@@ -268,7 +270,7 @@ class Recursion:
             own = own + coordinate
         # Not one after the other: the bodies beyond wait for this.
         angle = angle + own
-        frame = _turned(base, angle)
+        frame = turned_frame(base, angle)
         direction = transpose(frame)[body.axis]
         turn, slide = scale(direction, body.turns), scale(direction, body.slides)
         offset = add(times(parent.frame, body.place), scale(slide, coordinate))
@@ -578,7 +580,7 @@ class Recursion:
         return force, scaled, at_parent(wrench, motion.offset)
 
 
-def _turned(base, angle):
+def turned_frame(base, angle):
     """Return a frame that is turned about its Z axis."""
     if is_zero((angle,)):
         return base
@@ -767,12 +769,13 @@ def _rotations(cut, first, second):
 
 def _perpendicular(one, other, first, second, turns):
     """Return the equation that keeps an axis of body A perpendicular to one of body B."""
-    lever = cross(one, other)
+    lever, off = cross(one, other), dot(one, other)
+    # How fast the lever turns with both axes, along the difference of the spins.
+    turning = (dot(first.spin, other) * dot(one, turns) - dot(second.spin, one) * dot(other, turns)
+               - off * dot(turns, turns))
     return Closure(
-        dot(one, other), dot(lever, turns),
-        dot(first.convective_acceleration(one), other)
-        + dot(one, second.convective_acceleration(other))
-        + 2.0 * dot(cross(first.spin, one), cross(second.spin, other)),
+        off, dot(lever, turns),
+        dot(lever, subtract(first.spin_rate, second.spin_rate)) + turning,
         lever + ZERO, negate(lever) + ZERO)
 
 
@@ -805,5 +808,6 @@ def _screw(cut, first, second, at_a, at_b):
 def _joint_frame(motion, turned, angle):
     """Return the axes of a cut joint on one of its bodies."""
     if turned is None:
-        return motion.frame if is_zero((angle,)) else _turned(motion.base, motion.angle + angle)
-    return _turned(product(motion.frame, turned), angle)
+        return motion.frame if is_zero((angle,)) else turned_frame(
+            motion.base, motion.angle + angle)
+    return turned_frame(product(motion.frame, turned), angle)
