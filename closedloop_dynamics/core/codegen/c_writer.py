@@ -246,7 +246,7 @@ class Statements:
 
     def _compute_in_lanes(self, members):
         """Compute a bundle."""
-        operations = [self._operations[place] for place in members]
+        operations = [self._packing.operations[place] for place in members]
         operands = [self._vector(each) for each in zip(*(one[1:] for one in operations))]
         number, width = self._packing.number(members[0]), 4 if len(members) <= 4 else 8
         self._widths[number] = width

@@ -13,7 +13,6 @@ class PackedWriter(Writer):
 
     def write(self):
         """Write the function."""
-        operations = self.routine.graph.operations
         self.packing = packing_of(self.routine, self.first_angles())
         if self.packing is None:
             super().write()
@@ -24,7 +23,7 @@ class PackedWriter(Writer):
             if len(members) == 1:
                 self.compute(*members)
             else:
-                self._compute(operations, members)
+                self._compute(self.packing.operations, members)
         self.finish()
 
     def turn_back(self, place):

@@ -49,7 +49,7 @@ def alike(operations, use, apart, fewest):
     Of a graph, those that are needed in their order (``use``), but for places that are to stay
     alone (``apart``), ``fewest`` at least. Returns the same number for operations that are the
     same, at whatever inputs, by place, and lists of places of operations that are the same, each
-    of other inputs.
+    of other inputs. Factors and terms whose order does not matter are put in the same one.
     """
     inputs, kinds, numbers = support(operations, use), {}, {}
     found = defaultdict(lambda: defaultdict(list))
@@ -58,6 +58,12 @@ def alike(operations, use, apart, fewest):
         if kind == LOAD:
             key = kind, operands[0]
         else:
+            # Of two products a sum rounds one.
+            if kind == MULTIPLY or kind == ADD and any(
+                    isinstance(o, float) or operations[o][0] not in (MULTIPLY, NEGATE)
+                    for o in operands):
+                operands.sort(key=lambda o: kinds[o] if isinstance(o, int) else -1)
+                operations[place] = kind, *operands
             key = (kind, *(kinds[o] if isinstance(o, int) else (o,) for o in operands))
         kinds[place] = numbers.setdefault(key, len(numbers))
         if kind in _PACKED and place not in apart:
@@ -85,7 +91,7 @@ class Packing:
     """
 
     def __init__(self, routine, angles, fewest):
-        self.operations = routine.graph.operations
+        self.operations = list(routine.graph.operations)
         self.use = sorted(routine.needed())
         stored = {value.place for _, _, value in routine.outputs if hasattr(value, 'place')}
         if routine.graph.guard is not None:
