@@ -296,10 +296,7 @@ class _Equations:
             x.update(zip(rows, multipliers))
 
         self._undo.append(undo)
-        sine = volume if fewer else volume * volume
-        for square in squares:
-            sine = sine / square
-        return sine
+        return (volume if fewer else volume * volume) / _product(squares)
 
     def _put_in(self, moved, start, mass, coupled, force):
         """

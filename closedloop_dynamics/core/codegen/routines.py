@@ -22,6 +22,7 @@ from .function_table import (
 from .linear_map import divided
 from .machine_code import machine_code, PACKED
 from .rows import by_column, columns_of, matrix, six
+from .sums import balanced
 from .vectors import in_space, times, transpose
 from .workspace import zeros_like_workspace
 from .. import cache
@@ -223,7 +224,8 @@ class MechanismTrace:
         if self.by_arms:
             otherwise = self.without_arms().routine(which)
             otherwise.name = f'{NAMES[which]}_next_to_singular_arms'
-        return Routine(NAMES[which], self.graph, self.outputs, otherwise)
+        found = Routine(NAMES[which], self.graph, self.outputs, otherwise)
+        return balanced(found) if which == EVALUATION else found
 
     def with_torque_response(self):
         """Return ACCELERATION, TORQUE_RESPONSE, and how many factors it has, at q."""
