@@ -57,10 +57,11 @@ def topology(model):
 RECORDED = 2
 # Place of the mechanism's size behind Baumgarte's rate among the settings of a system.
 _SIZE = 4
-_addresses, sizes, _shorter = {}, {}, {}
-# Methods that work on the equations of motion in the joints' coordinates, and rows of the tree up
-# to which both are traced for the shorter one.
-IN_JOINTS, MOST_ROWS = (arms, joint_space), 20
+_addresses, sizes = {}, {}
+# Operations by methods for mechanisms without arms, of which the shorter one is taken, and rows of
+# the tree up to which both are traced; methods that work on the equations of motion.
+_by_joints, BY_JOINTS, MOST_ROWS = {}, (forward_dynamics, joint_space), 20
+IN_JOINTS = arms, joint_space
 
 
 def addresses(model, which, form=PACKED, joints=None):
@@ -122,8 +123,7 @@ def unrolled_size(model, most):
         stored = cache.read(name)
         if stored is None:
             try:
-                stored = str(count_operations(
-                    MechanismTrace(model, most=RECORDED * most).routine(EVALUATION))).encode()
+                stored = str(operations(model, RECORDED * most)).encode()
             except TooManyOperations:
                 stored = b'inf'
             cache.write(name, stored)
@@ -131,13 +131,16 @@ def unrolled_size(model, most):
     return sizes[key]
 
 
-def operations(model):
+def operations(model, most=math.inf):
     """
     Count the operations of an evaluation, before anything is compiled.
 
-    Additions, subtractions, multiplications, divisions and negations.
+    Additions, subtractions, multiplications, divisions and negations; ``most`` are recorded.
     """
-    return count_operations(MechanismTrace(model).routine(EVALUATION))
+    trace = MechanismTrace(model, most=most)
+    method = trace.method()
+    return _by_joints.get(topology(model), {}).get(method) or count_operations(
+        trace.traced(EVALUATION))
 
 
 def count_operations(routine):
@@ -147,17 +150,15 @@ def count_operations(routine):
     return sum(routine.graph.operations[place][0] in kinds for place in routine.needed())
 
 
-def is_shorter_in_joints(model):
-    """Return whether an evaluation without arms takes fewer operations by ``joint_space``."""
+def shorter(model):
+    """Return the one of ``BY_JOINTS`` by which an evaluation takes fewer operations."""
     if len(model.tree) > MOST_ROWS:
-        return False
+        return forward_dynamics
     key = topology(model)
-    if key not in _shorter:
-        many, few = (count_operations(MechanismTrace(
-            model, with_arms=False, by=by).routine(EVALUATION))
-            for by in (forward_dynamics, joint_space))
-        _shorter[key] = few < many
-    return _shorter[key]
+    if key not in _by_joints:
+        _by_joints[key] = {by: count_operations(MechanismTrace(
+            model, with_arms=False, by=by).traced(EVALUATION)) for by in BY_JOINTS}
+    return min(BY_JOINTS, key=_by_joints[key].get)
 
 
 class MechanismTrace:
@@ -213,19 +214,23 @@ class MechanismTrace:
 
     def routine(self, which):
         """Return one of the routines; a trace serves for one."""
+        found = self.traced(which)
+        if self.by_arms:
+            found.otherwise = self.without_arms().routine(which)
+            found.otherwise.name = f'{NAMES[which]}_next_to_singular_arms'
+        return balanced(found) if which == EVALUATION else found
+
+    def traced(self, which):
+        """Return the same as it is traced, without what does it otherwise."""
         self.by_arms = False
         if which in (EVALUATION, ACCELERATION) and self.method() in IN_JOINTS:
             self.recursion.hinges = ()
         try:
             getattr(self, NAMES[which])()
         except arms.AlwaysSingularError:
-            return self.without_arms().routine(which)
-        otherwise = None
-        if self.by_arms:
-            otherwise = self.without_arms().routine(which)
-            otherwise.name = f'{NAMES[which]}_next_to_singular_arms'
-        found = Routine(NAMES[which], self.graph, self.outputs, otherwise)
-        return balanced(found) if which == EVALUATION else found
+            self.by_arms = False
+            return self.without_arms().traced(which)
+        return Routine(NAMES[which], self.graph, self.outputs)
 
     def with_torque_response(self):
         """Return ACCELERATION, TORQUE_RESPONSE, and how many factors it has, at q."""
@@ -324,7 +329,7 @@ class MechanismTrace:
         if self.embeds():
             return embedding
         if self.by is None:
-            self.by = joint_space if is_shorter_in_joints(self.constant) else forward_dynamics
+            self.by = shorter(self.constant)
         return self.by
 
     def embeds(self):
