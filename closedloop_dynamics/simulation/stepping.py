@@ -290,21 +290,19 @@ class Stepping:
 
         Returns whether the run is to go on.
         """
-        run, guard = self.run, self.energy_guard
+        run, guard, report = self.run, self.energy_guard, self.run.report
         if outcome == CHOICE:
-            return self.choose_equations(run.report)
+            return self.choose_equations(report)
         if outcome == FAILED:
-            self._raise_failure(run.report)
+            self._raise_failure(report)
         if outcome == INACCURATE:
             warnings.warn(guard.finding, InaccuracyWarning, stacklevel=2)
             return True
         if outcome == ENERGY_LOST:
-            problem, report = guard.problem(), run.report
-            self.restore(
-                run.kept(), report.check_time, report.check_residual)
+            problem = guard.problem()
+            self.restore(run.kept(), report.check_time, report.check_residual)
             raise problem
         if outcome == CABLE_LEAPT:
-            report = run.report
             place = [*self._effects.winding_places()][report.leapt]
             self.restore(run.kept(True), report.cable_time, report.cable_residual)
             raise leapt(place, report.winding, self.data.time)
