@@ -20,8 +20,8 @@
 // In brackets is the shape. Capital letters are counts of the object that the function belongs to
 // (`count_of` in arguments.hpp); other words are lengths and whole numbers: where a word is first met
 // as a length it stands for that from there on. Quotients are rounded down. `row<B`: places among B;
-// `-1<=row<B`: or -1 for none; `count>=1`: a finite number. `run?`: or None. Without a condition all is taken: kernels
-// index blindly.
+// `-1<=row<B`: or -1 for none; `count>=1`: a finite number. `run?`: or None. Without a condition all
+// is taken: kernels index blindly.
 
 namespace closedloop
 {
