@@ -21,10 +21,10 @@ an arm, where it returns False.
 
 import functools
 
-from . import elimination
+from . import elimination, space
 from .expression_graph import chosen, larger
 from .forward_dynamics import to_user_order
-from .spatial import Z
+from .spatial import at_parent, shifted, Z
 from .vectors import (
     add, cross, dot, is_number, negate, scale, subtract, symmetric, times, transpose, ZERO)
 from ..types import (
@@ -371,12 +371,9 @@ def total(values):
 def _assemble(recursion, model, work, tau, baumgarte, plan):
     """Return the equations of motion and of closure; floating bodies are roots of their own."""
     found = _Equations()
-    matrix, right = recursion.equations_of_motion(
-        model, recursion.about_world(model, tau), plan.floating)
-    for pair, value in matrix.items():
-        found.add(*pair, value)
-    for key, value in right.items():
-        found.add_right(key, value)
+    # In the plane the world's axes are those of all views.
+    add_motion = _add_motion_in_views if space.is_spatial(model) else _add_motion
+    add_motion(recursion, model, recursion.about_world(model, tau), plan, found)
     for body, components in plan.floating.items():
         for n in components:
             row, unit = (_EQUATION, body, n), tuple(float(m == n) for m in range(6))
@@ -396,6 +393,40 @@ def _assemble(recursion, model, work, tau, baumgarte, plan):
             found.add_right(row, 0.0 - work.bias[place] - baumgarte * (
                 2.0 * work.closure_rate[place] + baumgarte * work.closure[place]))
     return found
+
+
+def _add_motion_in_views(recursion, model, tau, plan, found):
+    """Add the equations of motion, formed in axes of the bodies' own."""
+    matrix, right = recursion.equations_of_motion(model, tau, plan.floating)
+    for pair, value in matrix.items():
+        found.add(*pair, value)
+    for key, value in right.items():
+        found.add_right(key, value)
+
+
+def _add_motion(recursion, model, tau, plan, found):
+    """Add the equations of motion, formed in the world's axes."""
+    inertia, force = list(recursion.inertia), list(recursion.force)
+    for i in range(len(plan.parent) - 1, 0, -1):
+        p, motion, wrench = plan.parent[i], recursion.motion[i], 2 * ZERO
+        armature, momentum = recursion.bodies[i].armature, recursion.rotor[i]
+        found.add(i, i, 0.0 if armature is None else armature)
+        found.add_right(i, tau[model.tree[i, DOF]] - dot(
+            momentum, recursion.motion[p].spin_rate))
+        if i in plan.floating:
+            for n in plan.floating[i]:
+                found.add_right((i, n), 0.0 - force[i][n])
+                for m in range(n, 6):
+                    found.add((i, n), (i, m), inertia[i][n][m])
+        else:
+            wrench = times(inertia[i], motion.axis)
+            found.add(i, i, dot(motion.axis, wrench))
+            found.add_right(i, 0.0 - dot(motion.axis, force[i]))
+            if p > 0:
+                inertia[p] = tuple(map(add, inertia[p], shifted(inertia[i], motion.offset)))
+                force[p] = add(force[p], at_parent(force[i], motion.offset))
+        wrench = add(at_parent(wrench, motion.offset), momentum + ZERO)
+        _spread(recursion, plan, {p: wrench}, i, found)
 
 
 def _spread(recursion, plan, arrived, key, found):

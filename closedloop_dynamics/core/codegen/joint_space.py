@@ -128,10 +128,6 @@ class JointSpace(Recursion):
         super().load_coordinates(model, q, qd)
         self.rates = qd
 
-    def view_in_world(self):
-        """View all bodies in the axes of the world, by ``motion``."""
-        self.views = [View(IDENTITY, one.frame, IDENTITY, one) for one in self.motion]
-
     def _view(self, i, p, coordinate, rate, shared):
         """Return the view of a body on its parent."""
         body, world, parent = self.bodies[i], self.motion[i], self.views[p]
@@ -168,7 +164,7 @@ class JointSpace(Recursion):
 
     def equations(self, model, a):
         """As of ``Recursion``; accelerations of points are found in the axes of views."""
-        if not self.apart or self.is_parallel:
+        if not self.apart:
             return super().equations(model, a)
         cut, kept, levers = self.cuts[a], self.motion, []
         self.motion = list(kept)

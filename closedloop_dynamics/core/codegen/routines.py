@@ -22,7 +22,6 @@ from .function_table import (
 from .linear_map import divided
 from .machine_code import machine_code, PACKED
 from .rows import by_column, columns_of, matrix, six
-from .sums import balanced
 from .vectors import in_space, times, transpose
 from .workspace import zeros_like_workspace
 from .. import cache
@@ -222,7 +221,7 @@ class MechanismTrace:
         if self.by_arms:
             found.otherwise = self.without_arms().routine(which)
             found.otherwise.name = f'{NAMES[which]}_next_to_singular_arms'
-        return balanced(found) if which == EVALUATION else found
+        return found
 
     def traced(self, which):
         """Return the same as it is traced, without what does it otherwise."""
@@ -259,8 +258,12 @@ class MechanismTrace:
         self.store_closures()
 
     def move(self):
-        """Run the outward recursion before accelerations, which add forces of motion then."""
-        self.recursion.apart = self.method() in IN_JOINTS
+        """
+        Run the outward recursion before accelerations, which in space add forces of motion then.
+
+        In the plane their axes are the world's, too, and accelerations those of two parts.
+        """
+        self.recursion.apart = self.arrays is space and self.method() in IN_JOINTS
         self.recursion.outward(self.model, self.q, self.qd, self.work)
 
     def outward(self):
@@ -311,7 +314,6 @@ class MechanismTrace:
                 acceleration=plane.motion_of(body[0], one.bodies[0], one.ground).acceleration)
             one.motion = [one.ground, *(arrays.motion_of(row, each, one.ground)
                                         for row, each in zip(body[1:], one.bodies[1:]))]
-            one.view_in_world()
         one.force = [None, *(six(row, arrays.FORCES) for row in body[1:])]
 
     def acceleration(self, by=None):

@@ -27,11 +27,6 @@ _REGISTERS, _COMPARED = 28, 64
 MOST = 2000
 
 
-def latency(kind):
-    """Return the cycles until the result of an operation is there."""
-    return _LATENCY.get(kind, _OTHERS)
-
-
 def by_urgency(operations, groups, known):
     """
     Order operations.
@@ -66,7 +61,7 @@ def by_urgency(operations, groups, known):
             after[one].append(group)
     height = {}
     for group in reversed(left):
-        height[group] = latency(kinds[group]) + max(
+        height[group] = _LATENCY.get(kinds[group], _OTHERS) + max(
             map(height.get, after[group]), default=0)
     return _list_schedule(left, before, after, height, kinds)
 
@@ -99,7 +94,7 @@ def _list_schedule(left, before, after, height, kinds):
         group = left[chosen[1]]
         found.append(group)
         living += more(group)
-        ends[group] = now + latency(kinds[group])
+        ends[group] = now + _LATENCY.get(kinds[group], _OTHERS)
         for one in before[group]:
             users[one] -= 1
         for one in after[group]:
