@@ -3,7 +3,7 @@
 
 """A bag recorded from real processes is replayed, animated, and drawn."""
 
-from test.ros import test_orientations, test_space
+from test.ros import test_space
 
 from closedloop_dynamics.cli import main
 from closedloop_dynamics.recording.recording import read_recording
@@ -99,7 +99,7 @@ def test_a_recorded_run_in_space_is_met_exactly_and_drawn(
 
 def test_a_recorded_run_with_orientations_is_met_exactly(
         processes, listener, tmp_path, met_exactly):
-    scene = test_orientations.scene(test_orientations.machine(), **test_orientations.MOVING)
+    scene = test_space.made('floater')
     recorded(processes, listener, test_space.file_of(scene, tmp_path), 0.05,
              topics=['multi_dof_joint_states'], amplitude='[0.2, 0.1, 0.1, 0.2, 0.1]',
              frequency='[2.0, 1.0, 2.0, 1.0, 2.0]')
