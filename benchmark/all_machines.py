@@ -31,9 +31,9 @@ from machine import commit, description, parser_of  # noqa: I100
 import numpy as np
 import peer_cases
 
-from closedloop_dynamics.mechanism.mechanism import MechanismError  # noqa: I100
-from closedloop_dynamics.simulation.errors import SimulationError
-from closedloop_dynamics.simulation.scene import load_scene, scene_names
+from closedloop_dynamics.mechanism.errors import SimulationError  # noqa: I100
+from closedloop_dynamics.mechanism.mechanism import MechanismError
+from closedloop_dynamics.scene.loading import load_scene, scene_names
 from closedloop_dynamics.simulation.simulation import Simulation
 from closedloop_dynamics.visual.tables import write_csv
 

@@ -65,7 +65,7 @@ def large_ladder():
     """Return one evaluation of a ladder of 201 joints."""
     # Where it is used: what a commit does not know is then left out, with its task alone.
     from closedloop_dynamics.integration.system import build_system
-    from closedloop_dynamics.simulation.modeling import build_model
+    from closedloop_dynamics.kinematics.modeling import build_model
     from families import ladder
     mechanism, position = ladder(100)
     system = build_system(build_model(mechanism))
@@ -76,7 +76,7 @@ def large_ladder():
 
 def beside_flat(loops, tilt):
     """Return one evaluation of a ladder of parallelograms so far from flat [rad]."""
-    from closedloop_dynamics.simulation.scene_records import Method
+    from closedloop_dynamics.scene.records import Method
     from hard_machines import ladder, scene
     return evaluation(Simulation(scene(*ladder(loops, 0.5 * np.pi - tilt), Method())))
 

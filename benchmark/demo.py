@@ -21,7 +21,7 @@ import time
 
 from closedloop_dynamics.mechanism.mechanism import MechanismError
 from closedloop_dynamics.recording.errors import BagReadError, RecordingError
-from closedloop_dynamics.simulation.scene import load_scene, SceneError
+from closedloop_dynamics.scene.loading import load_scene, SceneError
 from closedloop_dynamics.simulation.signals import Interrupted, SignalWatch
 from closedloop_dynamics.visual.progress import progress_to
 from demo_drive import (

@@ -21,8 +21,8 @@ import warnings
 for _name in ('OMP_NUM_THREADS', 'OPENBLAS_NUM_THREADS', 'MKL_NUM_THREADS'):
     os.environ[_name] = '1'
 
-from closedloop_dynamics.simulation.errors import SimulationError  # noqa: E402
-from closedloop_dynamics.simulation.scene import load_scene  # noqa: E402
+from closedloop_dynamics.mechanism.errors import SimulationError  # noqa: E402
+from closedloop_dynamics.scene.loading import load_scene  # noqa: E402
 from closedloop_dynamics.simulation.simulation import Simulation  # noqa: E402
 from closedloop_dynamics.visual.tables import markdown_table, seconds  # noqa: E402
 from machine import description, parser_of  # noqa: E402

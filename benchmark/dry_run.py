@@ -13,10 +13,10 @@ import math
 import sys
 import warnings
 
+from closedloop_dynamics.mechanism.errors import InaccuracyWarning, SimulationError
 from closedloop_dynamics.recording.cost import probe
 from closedloop_dynamics.recording.run import Report, run
-from closedloop_dynamics.simulation.errors import InaccuracyWarning, SimulationError
-from closedloop_dynamics.simulation.scene import scene_names
+from closedloop_dynamics.scene.loading import scene_names
 from closedloop_dynamics.simulation.simulation import Simulation
 from closedloop_dynamics.visual.tables import short, text_table
 from machine import parser_of

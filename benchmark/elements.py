@@ -19,15 +19,14 @@ import sys
 from time import process_time
 
 from closedloop_dynamics import Simulation
-from closedloop_dynamics.core.codegen.function_table import (
-    AT_REST as ONE_AT_REST, EVALUATION)
-from closedloop_dynamics.core.codegen.live_scene import LiveTrace
-from closedloop_dynamics.core.codegen.routines import count_operations as count, operations
+from closedloop_dynamics.codegen.function_table import AT_REST as ONE_AT_REST, EVALUATION
+from closedloop_dynamics.codegen.live_scene import LiveTrace
+from closedloop_dynamics.codegen.routines import count_operations as count, operations
 from closedloop_dynamics.effects.registry import EFFECTS
 from closedloop_dynamics.effects.scene_code import SceneLaws
 from closedloop_dynamics.mechanism.mechanism import DISTANCE, POINT_ON_LINE
-from closedloop_dynamics.simulation.scene import load_scene
-from closedloop_dynamics.simulation.tree_choice import count_operations
+from closedloop_dynamics.scene.loading import load_scene
+from closedloop_dynamics.scene.tree_choice import count_operations
 from closedloop_dynamics.visual.tables import markdown_table, text_table
 from hard_machines import effect_of
 from machine import description, in_turn, least, parser_of, write_result

@@ -6,7 +6,7 @@
 from math import nan
 from statistics import median
 
-from closedloop_dynamics.simulation.errors import NumericalError
+from closedloop_dynamics.mechanism.errors import NumericalError
 from closedloop_dynamics.simulation.simulation import Simulation
 from closedloop_dynamics.visual.tables import write_csv
 from machine import in_turn

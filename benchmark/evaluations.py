@@ -15,7 +15,7 @@ import math
 import time
 
 from closedloop_dynamics.integration.system import number_of_states
-from closedloop_dynamics.simulation.scene_records import Method
+from closedloop_dynamics.scene.records import Method
 from closedloop_dynamics.simulation.simulation import Simulation
 import hard_machines as machines
 from machine import in_turn, least, parser_of

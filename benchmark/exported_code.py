@@ -21,7 +21,7 @@ import sys
 from tempfile import TemporaryDirectory
 
 from closedloop_dynamics.engine import build
-from closedloop_dynamics.simulation.c_source import c_source
+from closedloop_dynamics.export.c_source import c_source
 from closedloop_dynamics.simulation.simulation import Simulation
 from closedloop_dynamics.visual.tables import markdown_table
 from machine import least, parser_of, ROOT

@@ -21,11 +21,11 @@ from closedloop_dynamics.effects.joint_friction import JointFriction
 from closedloop_dynamics.effects.joint_spring import JointSpring
 from closedloop_dynamics.effects.point_spring import PointSpring
 from closedloop_dynamics.integration.control import SHARE
+from closedloop_dynamics.mechanism.errors import SimulationError, StiffnessError
 from closedloop_dynamics.mechanism.mechanism import (
     Body, CutJoint, Joint, Mechanism, Point, PRISMATIC, REVOLUTE)
-from closedloop_dynamics.simulation.errors import SimulationError, StiffnessError
-from closedloop_dynamics.simulation.scene import load_scene
-from closedloop_dynamics.simulation.scene_records import Initial, Method, Scene
+from closedloop_dynamics.scene.loading import load_scene
+from closedloop_dynamics.scene.records import Initial, Method, Scene
 from closedloop_dynamics.simulation.simulation import Simulation
 import hard_cases_at_contacts
 import hard_cases_in_space

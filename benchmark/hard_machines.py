@@ -14,8 +14,8 @@ from closedloop_dynamics.integration.registry import FIXED as FIXED_STEP, INTEGR
 from closedloop_dynamics.mechanism.mechanism import (
     Body, CutJoint, FIXED, GROUND, Joint, Mechanism, REVOLUTE)
 from closedloop_dynamics.mechanism.rotations import composed, of_quaternion
-from closedloop_dynamics.simulation.scene import load_scene
-from closedloop_dynamics.simulation.scene_records import Initial, Scene
+from closedloop_dynamics.scene.loading import load_scene
+from closedloop_dynamics.scene.records import Initial, Scene
 from closedloop_dynamics.simulation.simulation import Simulation
 import numpy as np
 

@@ -16,10 +16,10 @@ from statistics import median
 import time
 import warnings
 
-from closedloop_dynamics.core.types import EVALUATIONS
+from closedloop_dynamics.engine.types import EVALUATIONS
 from closedloop_dynamics.integration.registry import ADAPTIVE, INTEGRATORS
-from closedloop_dynamics.simulation.errors import InaccuracyWarning, SimulationError
-from closedloop_dynamics.simulation.scene_records import AUTO
+from closedloop_dynamics.mechanism.errors import InaccuracyWarning, SimulationError
+from closedloop_dynamics.scene.records import AUTO
 from closedloop_dynamics.simulation.simulation import Simulation
 from closedloop_dynamics.visual.tables import write_csv
 from machine import in_turn

@@ -30,9 +30,9 @@ import sentences
 import throughput
 from yardsticks import SciPyLine, SOLVERS
 
-from closedloop_dynamics.simulation.errors import InaccuracyWarning  # noqa: I100
-from closedloop_dynamics.simulation.scene import load_scene
-from closedloop_dynamics.simulation.scene_records import AUTO
+from closedloop_dynamics.mechanism.errors import InaccuracyWarning  # noqa: I100
+from closedloop_dynamics.scene.loading import load_scene
+from closedloop_dynamics.scene.records import AUTO
 from closedloop_dynamics.studies import accuracy_report
 from closedloop_dynamics.studies.accuracy import default_lines, Line, study_accuracy
 from closedloop_dynamics.visual.tables import markdown_table, seconds

@@ -23,12 +23,12 @@ import numpy as np
 import peer_cases
 
 from closedloop_dynamics.formats.registry import read_model  # noqa: I100
+from closedloop_dynamics.kinematics.global_assembly import ClosureProblem
+from closedloop_dynamics.kinematics.modeling import extent
+from closedloop_dynamics.mechanism.errors import SimulationError
 from closedloop_dynamics.mechanism.mechanism import MechanismError, REVOLUTE, SPHERICAL
-from closedloop_dynamics.simulation.errors import SimulationError
-from closedloop_dynamics.simulation.global_assembly import ClosureProblem
-from closedloop_dynamics.simulation.model_scene import assembled, scene_of_model
-from closedloop_dynamics.simulation.modeling import extent
-from closedloop_dynamics.simulation.scene_records import Initial
+from closedloop_dynamics.scene.model_scene import assembled, scene_of_model
+from closedloop_dynamics.scene.records import Initial
 from closedloop_dynamics.visual.tables import markdown_table, seconds, write_csv
 
 STATES, QUICK_STATES = 10, 2

@@ -16,8 +16,8 @@ import statistics
 import sys
 import time
 
+from closedloop_dynamics.kinematics.passive_joint_solver import PassiveJointSolver
 from closedloop_dynamics.ros.joint_states_node import JointStatesNode
-from closedloop_dynamics.simulation.passive_joint_solver import PassiveJointSolver
 from closedloop_dynamics.simulation.simulation import Simulation
 from closedloop_dynamics.visual.tables import text_table
 from machine import description, parser_of

@@ -21,7 +21,7 @@ import sys
 import tempfile
 import time
 
-from closedloop_dynamics.simulation.scene import load_scene
+from closedloop_dynamics.scene.loading import load_scene
 from machine import description, parser_of
 import numpy as np
 from programs import Programs

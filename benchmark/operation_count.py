@@ -23,17 +23,15 @@ from machine import description, least, parser_of, write_result
 import numpy as np
 import peer_cases
 
-from closedloop_dynamics.core.codegen.expression_graph import (  # noqa: I100
+from closedloop_dynamics.codegen.expression_graph import (  # noqa: I100
     ADD, COSINE, DIVIDE, ExpressionGraph, LOAD, MULTIPLY, Q, QD, Routine, SINE, SUBTRACT)
-from closedloop_dynamics.core.codegen.function_table import (
-    ACCELERATION, EVALUATION, OUTWARD)
-from closedloop_dynamics.core.codegen.machine_code import (
-    machine_code, PACKED, SCALAR)
-from closedloop_dynamics.core.codegen.routines import MechanismTrace
-from closedloop_dynamics.simulation.modeling import build_model
-from closedloop_dynamics.simulation.scene import load_scene, scene_names
+from closedloop_dynamics.codegen.function_table import ACCELERATION, EVALUATION, OUTWARD
+from closedloop_dynamics.codegen.machine_code import machine_code, PACKED, SCALAR
+from closedloop_dynamics.codegen.routines import MechanismTrace
+from closedloop_dynamics.kinematics.modeling import build_model
+from closedloop_dynamics.scene.loading import load_scene, scene_names
+from closedloop_dynamics.scene.tree_choice import MOST_JOINTS
 from closedloop_dynamics.simulation.simulation import Simulation
-from closedloop_dynamics.simulation.tree_choice import MOST_JOINTS
 from closedloop_dynamics.visual.tables import markdown_table, seconds, text_table
 from families import ladder
 
@@ -44,7 +42,7 @@ KIND_OF = {ADD: 'add', SUBTRACT: 'add', MULTIPLY: 'multiply', DIVIDE: 'divide',
            SINE: 'sine and cosine', COSINE: 'sine and cosine'}
 # Rough latencies in cycles, to find the longest chain.
 LATENCY = {'add': 3, 'multiply': 3, FUSED: 4, 'divide': 13, 'sine and cosine': 38}
-# The longest chain in sine and cosine of one angle (core/codegen/sincos.py).
+# The longest chain in sine and cosine of one angle (codegen/sincos.py).
 SINE_AND_COSINE = {'add': 4, 'multiply': 2, FUSED: 5}
 BOUNDS = """\
 Two bounds of the time: the longest chain of operations that wait for one another, and all
@@ -68,7 +66,7 @@ def tally(routine):
 
     Parameters
     ----------
-    routine : core.codegen.expression_graph.Routine
+    routine : codegen.expression_graph.Routine
         Unrolled for a mechanism.
 
     Returns
@@ -110,7 +108,7 @@ def count(model):
 
     Parameters
     ----------
-    model : core.types.Model
+    model : engine.types.Model
         Of a mechanism.
 
     Returns

@@ -17,11 +17,11 @@ from typing import Callable
 
 from closedloop_dynamics.formats.in_space import in_space
 from closedloop_dynamics.formats.registry import is_model, read_model
+from closedloop_dynamics.mechanism.errors import SimulationError
 from closedloop_dynamics.mechanism.mechanism import GROUND, REVOLUTE, SPHERICAL
 from closedloop_dynamics.mechanism.reader import with_cuts
-from closedloop_dynamics.simulation import scene as scenes
-from closedloop_dynamics.simulation.errors import SimulationError
-from closedloop_dynamics.simulation.model_scene import assembled, scene_of_model
+from closedloop_dynamics.scene import loading as scenes
+from closedloop_dynamics.scene.model_scene import assembled, scene_of_model
 from closedloop_dynamics.simulation.simulation import Simulation
 from closedloop_dynamics.studies.reference import in_angles
 import numpy as np

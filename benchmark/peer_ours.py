@@ -7,8 +7,8 @@ from evaluations import evaluate_again
 from machine import commit
 from peer_cases import Line
 
-from closedloop_dynamics.core.types import EVALUATIONS  # noqa: I100
-from closedloop_dynamics.engine import native
+from closedloop_dynamics.engine import native  # noqa: I100
+from closedloop_dynamics.engine.types import EVALUATIONS
 from closedloop_dynamics.simulation.derivative_code import DerivativeCode
 from closedloop_dynamics.simulation.simulation import Simulation
 

@@ -25,7 +25,7 @@ import time
 for _name in ('OMP_NUM_THREADS', 'OPENBLAS_NUM_THREADS', 'MKL_NUM_THREADS'):
     os.environ[_name] = '1'
 
-from closedloop_dynamics.simulation.errors import SimulationError  # noqa: E402
+from closedloop_dynamics.mechanism.errors import SimulationError  # noqa: E402
 from closedloop_dynamics.simulation.simulation import Simulation  # noqa: E402
 import numpy as np  # noqa: E402
 from peer_cases import CannotExpress, Disagreement, NotAdapted  # noqa: E402

@@ -16,7 +16,7 @@ a mass of its own for each.
 import sys
 import time
 
-from closedloop_dynamics.simulation.scene import scene_names
+from closedloop_dynamics.scene.loading import scene_names
 from closedloop_dynamics.simulation.simulation import Simulation
 from closedloop_dynamics.visual.tables import text_table
 from evaluations import evaluate_again

@@ -7,7 +7,7 @@ import math
 
 from closedloop_dynamics.effects.gravity import Gravity
 from closedloop_dynamics.mechanism.mechanism import Body, Joint, Mechanism
-from closedloop_dynamics.simulation.scene_records import Initial, Scene
+from closedloop_dynamics.scene.records import Initial, Scene
 from closedloop_dynamics.simulation.simulation import Simulation
 from hard_machines import G
 import numpy as np

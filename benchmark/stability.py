@@ -15,8 +15,8 @@ from pathlib import Path
 import sys
 import warnings
 
-from closedloop_dynamics.simulation.errors import InaccuracyWarning
-from closedloop_dynamics.simulation.scene_records import Method
+from closedloop_dynamics.mechanism.errors import InaccuracyWarning
+from closedloop_dynamics.scene.records import Method
 from closedloop_dynamics.visual.appearance import DOTS_PER_INCH
 from closedloop_dynamics.visual.progress import parts_bar
 from closedloop_dynamics.visual.tables import markdown_table, text_table, write_csv

@@ -22,7 +22,7 @@ import sys
 import time
 import warnings
 
-from closedloop_dynamics.simulation.errors import InaccuracyWarning
+from closedloop_dynamics.mechanism.errors import InaccuracyWarning
 from closedloop_dynamics.simulation.simulation import Simulation
 from closedloop_dynamics.visual.tables import markdown_table, write_csv
 from machine import description, least, parser_of

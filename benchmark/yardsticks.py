@@ -7,7 +7,7 @@ from dataclasses import dataclass, replace
 import math
 
 from closedloop_dynamics.integration.registry import STABILISATIONS
-from closedloop_dynamics.simulation.errors import NumericalError, SimulationError
+from closedloop_dynamics.mechanism.errors import NumericalError, SimulationError
 from closedloop_dynamics.simulation.simulation import Simulation
 from closedloop_dynamics.studies.accuracy import Line
 import numpy as np

@@ -19,33 +19,33 @@ os.environ.setdefault('OPENBLAS_NUM_THREADS', '1')
 
 # For type checkers __init__.pyi declares the same.
 _HOMES = {
-    'AssemblyError': 'simulation.errors', 'Body': 'mechanism.mechanism',
-    'ClosureError': 'simulation.errors', 'Coupling': 'mechanism.mechanism',
+    'AssemblyError': 'mechanism.errors', 'Body': 'mechanism.mechanism',
+    'ClosureError': 'mechanism.errors', 'Coupling': 'mechanism.mechanism',
     'CouplingLaw': 'mechanism.mechanism', 'CutJoint': 'mechanism.mechanism',
     'Evaluation': 'simulation.evaluation',
     'Evaluator': 'integration.evaluation', 'feedforward': 'simulation.reduced',
-    'Initial': 'simulation.scene_records', 'Joint': 'mechanism.mechanism',
-    'load_scene': 'simulation.scene', 'Mechanism': 'mechanism.mechanism',
-    'MechanismError': 'mechanism.mechanism', 'Method': 'simulation.scene_records',
-    'Model': 'simulation.model', 'NumericalError': 'simulation.errors',
+    'Initial': 'scene.records', 'Joint': 'mechanism.mechanism',
+    'load_scene': 'scene.loading', 'Mechanism': 'mechanism.mechanism',
+    'MechanismError': 'mechanism.mechanism', 'Method': 'scene.records',
+    'Model': 'simulation.model', 'NumericalError': 'mechanism.errors',
     'Point': 'mechanism.mechanism', 'read_mechanism': 'mechanism.reader',
     'Reduced': 'simulation.reduced', 'Rollout': 'simulation.rollout',
-    'rollout': 'simulation.model_rollout', 'Scene': 'simulation.scene_records',
-    'scene_names': 'simulation.scene', 'SceneError': 'simulation.scene',
+    'rollout': 'simulation.model_rollout', 'Scene': 'scene.records',
+    'scene_names': 'scene.loading', 'SceneError': 'scene.loading',
     'Sensitivity': 'simulation.sensitivity', 'Simulation': 'simulation.simulation',
-    'SimulationError': 'simulation.errors', 'SingularityError': 'simulation.errors',
-    'State': 'simulation.state', 'Stepper': 'simulation.stepper',
-    'write_scene': 'simulation.scene_text'}
+    'SimulationError': 'mechanism.errors', 'SingularityError': 'mechanism.errors',
+    'State': 'kinematics.state', 'Stepper': 'simulation.stepper',
+    'write_scene': 'scene.text'}
 # Without hints of their own, and some of other packages, which may not be there.
 _MORE = {
-    'c_source': 'simulation.c_source', 'Differentiator': 'simulation.derivatives',
-    'fmu': 'simulation.fmu', 'identify': 'studies.identification',
-    'jax_dynamics': 'simulation.jax_dynamics', 'jax_step': 'simulation.jax_step',
+    'c_source': 'export.c_source', 'Differentiator': 'simulation.derivatives',
+    'fmu': 'export.fmu', 'identify': 'studies.identification',
+    'jax_dynamics': 'export.jax_dynamics', 'jax_step': 'export.jax_step',
     'Linearisation': 'simulation.linearisation',
     'LinearModel': 'simulation.linearisation', 'LinearRegulator': 'control.optimal',
-    'MechanismEnv': 'simulation.environment',
-    'MechanismVectorEnv': 'simulation.environment',
-    'PredictiveController': 'control.optimal', 'torch_step': 'simulation.torch_step'}
+    'MechanismEnv': 'export.environment',
+    'MechanismVectorEnv': 'export.environment',
+    'PredictiveController': 'control.optimal', 'torch_step': 'export.torch_step'}
 __all__ = sorted(_HOMES)
 __version__ = '1.1.0'
 

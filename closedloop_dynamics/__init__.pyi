@@ -5,27 +5,25 @@
 from typing import Any
 
 from .integration.evaluation import Evaluator as Evaluator
+from .kinematics.state import State as State
+from .mechanism.errors import (
+    AssemblyError as AssemblyError, ClosureError as ClosureError, NumericalError as NumericalError,
+    SimulationError as SimulationError, SingularityError as SingularityError)
 from .mechanism.mechanism import (
     Body as Body, Coupling as Coupling, CouplingLaw as CouplingLaw, CutJoint as CutJoint,
     Joint as Joint, Mechanism as Mechanism, MechanismError as MechanismError, Point as Point)
 from .mechanism.reader import read_mechanism as read_mechanism
-from .simulation.errors import (
-    AssemblyError as AssemblyError, ClosureError as ClosureError,
-    NumericalError as NumericalError, SimulationError as SimulationError,
-    SingularityError as SingularityError)
+from .scene.loading import (
+    load_scene as load_scene, scene_names as scene_names, SceneError as SceneError)
+from .scene.records import Initial as Initial, Method as Method, Scene as Scene
+from .scene.text import write_scene as write_scene
 from .simulation.evaluation import Evaluation as Evaluation
 from .simulation.model import Model as Model
 from .simulation.model_rollout import rollout as rollout
 from .simulation.reduced import feedforward as feedforward, Reduced as Reduced
 from .simulation.rollout import Rollout as Rollout
-from .simulation.scene import (
-    load_scene as load_scene, scene_names as scene_names, SceneError as SceneError)
-from .simulation.scene_records import (
-    Initial as Initial, Method as Method, Scene as Scene)
-from .simulation.scene_text import write_scene as write_scene
 from .simulation.sensitivity import Sensitivity as Sensitivity
 from .simulation.simulation import Simulation as Simulation
-from .simulation.state import State as State
 from .simulation.stepper import Stepper as Stepper
 
 __version__: str

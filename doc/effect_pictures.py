@@ -26,7 +26,7 @@ from closedloop_dynamics.effects.rotor import Rotor
 from closedloop_dynamics.effects.sensor import Sensor
 from closedloop_dynamics.effects.tendon import Tendon
 from closedloop_dynamics.mechanism.mechanism import Body, Joint, Mechanism, Point
-from closedloop_dynamics.simulation.scene_records import Initial, Method, Scene
+from closedloop_dynamics.scene.records import Initial, Method, Scene
 import matplotlib.figure
 import numpy as np
 

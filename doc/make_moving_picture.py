@@ -15,7 +15,7 @@ import sys
 from tempfile import TemporaryDirectory
 from test.view.browser import browser
 
-from closedloop_dynamics.simulation.scene import load_scene
+from closedloop_dynamics.scene.loading import load_scene
 from closedloop_dynamics.simulation.simulation import Simulation
 from closedloop_dynamics.view.columns import SimulationRows
 from closedloop_dynamics.view.description import describe

@@ -21,8 +21,8 @@ from closedloop_dynamics.mechanism.meanings import documented
 from closedloop_dynamics.mechanism.mechanism import CouplingLaw, Mechanism, UNTURNED
 from closedloop_dynamics.mechanism.shapes import SHAPES
 from closedloop_dynamics.mechanism.validation import SECTIONS
-from closedloop_dynamics.simulation.scene import SCENE_KEYS
-from closedloop_dynamics.simulation.scene_records import Initial, Method
+from closedloop_dynamics.scene.loading import SCENE_KEYS
+from closedloop_dynamics.scene.records import Initial, Method
 
 PAGE = Path(__file__).with_name('scene_keys.md')
 TYPES = {'str': 'text', 'bool': 'true or false', 'float': 'number', 'int': 'whole number',

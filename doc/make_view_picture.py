@@ -20,7 +20,7 @@ from test.view.browser import browser
 from test.view.test_board import Hand, jansens_leg
 import threading
 
-from closedloop_dynamics.simulation.scene import load_scene
+from closedloop_dynamics.scene.loading import load_scene
 from closedloop_dynamics.view.library import Library
 from closedloop_dynamics.view.own_motion import own_motion
 from closedloop_dynamics.view.page import live_page

@@ -14,8 +14,8 @@ from pathlib import Path, PurePosixPath
 import posixpath
 import re
 
-from closedloop_dynamics.simulation.errors import SimulationError
-from closedloop_dynamics.simulation.scene import load_scene, scene_names
+from closedloop_dynamics.mechanism.errors import SimulationError
+from closedloop_dynamics.scene.loading import load_scene, scene_names
 from closedloop_dynamics.view.library import picture
 from closedloop_dynamics.view.own_motion import own_motion
 from closedloop_dynamics.view.page import editor_page, standalone_page

@@ -95,7 +95,7 @@ def pytest_collection_modifyitems(config, items):
 @pytest.fixture
 def wanted(monkeypatch):
     """Return a list of the names of code that was asked for, found or compiled, since."""
-    from closedloop_dynamics.core import cache
+    from closedloop_dynamics.codegen import cache
     names, read = [], cache.read
 
     def noted(name):

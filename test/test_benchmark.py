@@ -12,7 +12,7 @@ import re
 import shutil
 import sys
 
-from closedloop_dynamics.core.codegen.expression_graph import (
+from closedloop_dynamics.codegen.expression_graph import (
     cosine, ExpressionGraph, LOAD, MULTIPLY, Q, Routine, sine)
 from closedloop_dynamics.simulation.simulation import Simulation
 import numpy as np

@@ -16,8 +16,8 @@ from closedloop_dynamics.recording import cycle, design
 from closedloop_dynamics.recording.kinematics import Drive, DrivenRun
 from closedloop_dynamics.recording.quantities import by_name
 from closedloop_dynamics.recording.transmission import transmission_angle
-from closedloop_dynamics.simulation.key_paths import changed, numbers, resolve
-from closedloop_dynamics.simulation.scene import scene_of_yaml
+from closedloop_dynamics.scene.key_paths import changed, numbers, resolve
+from closedloop_dynamics.scene.loading import scene_of_yaml
 import numpy as np
 from PIL import Image
 import pytest

@@ -8,7 +8,7 @@ import warnings
 from .command import (
     Argument, checked_torques, Command, directory_options, free_paths, mapping, MOTION, OneOf,
     positive, READING_OPTIONS, SCENE, scene_of, SET, TORQUE)
-from ..simulation.errors import InaccuracyWarning
+from ..mechanism.errors import InaccuracyWarning
 from ..studies import accuracy_report
 from ..studies.accuracy import study_accuracy
 from ..studies.advice import for_budget, for_target

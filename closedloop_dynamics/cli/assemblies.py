@@ -8,8 +8,8 @@ import numpy as np
 from .command import (
     Argument, Command, picture_option, READING_OPTIONS, SCENE, scene_to_change, SET, UsageError)
 from .kinematics import drive_and_count, drives_given, of_option
+from ..mechanism.errors import AssemblyError
 from ..recording.kinematics import assemblies, held
-from ..simulation.errors import AssemblyError
 from ..visual.tables import text_table
 
 

@@ -7,7 +7,7 @@ import platform
 import warnings
 
 from .command import Argument, Command, directory_options, free_paths, positive, UsageError, whole
-from ..simulation.errors import InaccuracyWarning
+from ..mechanism.errors import InaccuracyWarning
 from ..studies.published_benchmarks import ACCURACIES, PROBLEMS, processor, REPEATS, solve
 from ..visual.progress import announced
 from ..visual.tables import seconds, short, text_table, write_csv

@@ -8,9 +8,9 @@ import numpy as np
 from .command import (
     Argument, Command, complain, READING, reading, READING_OPTIONS, SET, UsageError, with_numbers)
 from ..formats.registry import is_model, read_model
+from ..mechanism.errors import NumericalError, SimulationError
 from ..mechanism.mechanism import Mechanism, MechanismError
-from ..simulation.errors import NumericalError, SimulationError
-from ..simulation.scene import load_scene_or_mechanism
+from ..scene.loading import load_scene_or_mechanism
 from ..simulation.simulation import Simulation
 from ..studies.check import describe, describe_model
 from ..visual.progress import announced
@@ -52,7 +52,7 @@ def _run(arguments):
     print(describe(read, simulation))
     if arguments.c:
         # Only here: nothing else needs the code generation of C.
-        from ..simulation.c_source import c_cost
+        from ..export.c_source import c_cost
         print('', 'C, as closedloop export writes it', sep='\n')
         print(*(f'  {line}' for line in c_cost(simulation).lines()), sep='\n')
     for note in simulation.data.start_notes():

@@ -15,13 +15,13 @@ from typing import Callable
 
 from ..effects.user_code import run_code
 from ..formats.registry import is_model
+from ..kinematics.motions import moving, require_actuated, with_motions
+from ..mechanism.errors import AssemblyError
 from ..mechanism.extras import require
 from ..mechanism.fields import FieldError
 from ..mechanism.mechanism import MechanismError
-from ..simulation.errors import AssemblyError
-from ..simulation.key_paths import changed, resolve
-from ..simulation.motions import moving, require_actuated, with_motions
-from ..simulation.scene import load_scene, scene_names
+from ..scene.key_paths import changed, resolve
+from ..scene.loading import load_scene, scene_names
 from ..simulation.simulation import Simulation
 from ..visual.progress import announced
 

@@ -10,11 +10,11 @@ import warnings
 
 from .command import complain, exit_codes, HelpfulParser, UsageError
 from .. import __version__
-from ..core.codegen import announced_by
+from ..codegen import announced_by
+from ..mechanism.errors import SimulationError
 from ..mechanism.extras import MissingLibraryError
 from ..mechanism.mechanism import MechanismError
-from ..simulation.errors import SimulationError
-from ..simulation.scene import SceneError
+from ..scene.loading import SceneError
 from ..simulation.signals import Interrupted, program_watch
 
 # Command -> its module, imported when it is needed: each one needs libraries of its own.

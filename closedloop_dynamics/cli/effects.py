@@ -6,7 +6,7 @@
 from .command import (
     Argument, assignment, checked_torques, Command, directory_options, free_paths, mapping, MOTION,
     positive, READING_OPTIONS, SCENE, scene_of, SET, TORQUE, UsageError)
-from ..simulation.motions import with_motions
+from ..kinematics.motions import with_motions
 from ..studies import effects_report
 from ..studies.effects import study_effects
 from ..visual.progress import parts_bar

@@ -13,8 +13,8 @@ from .command import (
     with_numbers)
 from ..estimation.errors import EstimationError
 from ..recording.errors import BagReadError, RecordingError
+from ..scene.loading import load_scene
 from ..simulation.model import Model
-from ..simulation.scene import load_scene
 from ..visual.progress import announced, progress_bar
 from ..visual.tables import write_csv
 

@@ -18,12 +18,12 @@ from ..formats.registry import is_model, read_model, writer, WRITERS
 from ..formats.sdf_writing import sdf
 from ..formats.urdf_loops import FORMS, GAZEBO
 from ..formats.urdf_writing import urdf_with_loops
+from ..kinematics.global_assembly import find_closed
+from ..kinematics.modeling import extent
+from ..mechanism.errors import AssemblyError, SimulationError
 from ..mechanism.mechanism import Mechanism, MechanismError
-from ..simulation.errors import AssemblyError, SimulationError
-from ..simulation.global_assembly import find_closed
-from ..simulation.model_scene import assembled
-from ..simulation.modeling import extent
-from ..simulation.scene import load_scene, load_scene_or_mechanism
+from ..scene.loading import load_scene, load_scene_or_mechanism
+from ..scene.model_scene import assembled
 from ..visual.progress import announced
 
 # How the names of files end that code is written to.
@@ -83,8 +83,8 @@ def _run(arguments):
 def _write_c(arguments):
     """Write a scene as C and its header."""
     # Only here: no other format needs the code generation.
-    from ..simulation.c_run import error_of_float32, STEPS
-    from ..simulation.c_source import c_cost, c_source
+    from ..export.c_run import error_of_float32, STEPS
+    from ..export.c_source import c_cost, c_source
     header = arguments.output.with_suffix('.h')
     require_free(arguments, header)
     simulation, (text, declared) = _coded(arguments, lambda simulation: c_source(
@@ -109,7 +109,7 @@ def _write_c(arguments):
 
 def _write_fmu(arguments):
     """Write a scene as a functional mock-up unit."""
-    from ..simulation.fmu import fmu
+    from ..export.fmu import fmu
     with announced('Writing and compiling the unit ...'):
         simulation, unit = _coded(arguments, lambda simulation: fmu(
             simulation, arguments.output.stem, arguments.fmi or '3.0', arguments.derivatives))
@@ -141,7 +141,7 @@ def _coded(arguments, write):
 
 def _print_step_cost(simulation):
     """Report what the step size of the scene costs, in steps as the C makes them."""
-    from ..simulation.c_run import step_cost
+    from ..export.c_run import step_cost
     step = f'steps of {simulation.step_size:g} s'
     try:
         cost = step_cost(simulation)
@@ -154,7 +154,7 @@ def _print_step_cost(simulation):
 
 def _print_left_out(simulation):
     """Name the effects that have no part in the motion."""
-    from ..simulation.c_source import left_out
+    from ..export.c_source import left_out
     sensors = left_out(simulation)
     if sensors:
         print(f'left out: {", ".join(sensors)}, which only measure')

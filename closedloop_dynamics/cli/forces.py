@@ -12,11 +12,11 @@ import numpy as np
 from .command import (
     Argument, Command, complain, measured_options, OVERWRITE, require_free, SET, UsageError,
     with_numbers)
+from ..mechanism.errors import SimulationError
 from ..recording.errors import BagReadError, RecordingError
 from ..recording.forces import ForceBag, forces_along, measured_positions
 from ..recording.run import headings, row
-from ..simulation.errors import SimulationError
-from ..simulation.scene import load_scene
+from ..scene.loading import load_scene
 from ..simulation.simulation import Simulation
 from ..visual.progress import announced, progress_to
 from ..visual.trajectory import magnitudes

@@ -6,9 +6,9 @@
 from .command import (
     Argument, Command, complain, FAILED, Group, measured_options, picture_option, positive, SCENE,
     SET, UsageError, whole, with_numbers)
+from ..kinematics.passive_joint_solver import PassiveJointError
 from ..recording.measurements import read_measurements
-from ..simulation.passive_joint_solver import PassiveJointError
-from ..simulation.scene import load_scene
+from ..scene.loading import load_scene
 from ..studies.excitation import excite
 from ..studies.identification import driven_joints, identify, measured_joints
 from ..visual.progress import announced

@@ -11,9 +11,9 @@ from .command import (
 from ..formats.building import lines
 from ..formats.registry import read_model, READERS
 from ..formats.yaml_text import mechanism_text, scene_text
+from ..kinematics.modeling import extent
 from ..mechanism.digits import digit_notes
-from ..simulation.model_scene import assembled
-from ..simulation.modeling import extent
+from ..scene.model_scene import assembled
 from ..visual.progress import announced
 
 

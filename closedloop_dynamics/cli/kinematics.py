@@ -9,15 +9,15 @@ import math
 from .command import (
     Argument, Command, complain, DRAWING, mapping, OneOf, Output, pair, picture_option, positive,
     READING_OPTIONS, SCENE, scene_to_change, SET, TABLE, UsageError, whole, write_drawing)
+from ..kinematics.driven import BranchEndError
 from ..mechanism.coordinates import unit_of
+from ..mechanism.errors import AssemblyError
 from ..mechanism.expressions import ANGLES, LENGTHS, UNITS
 from ..recording.cycle import advantages, transmission_extremes
 from ..recording.design import cycle, POSES, stops_met
 from ..recording.kinematics import AXES, Drive, DrivenRun
 from ..recording.quantities import by_name, curves, forces, Quantity, torques
 from ..recording.rows import write_scene
-from ..simulation.driven import BranchEndError
-from ..simulation.errors import AssemblyError
 from ..visual.progress import announced, progress_to
 from ..visual.tables import write_csv
 from ..visual.trajectory import from_rows

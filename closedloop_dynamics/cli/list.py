@@ -5,7 +5,7 @@
 
 from .command import Command
 from ..mechanism.config import config_directory
-from ..simulation.scene import load_scene, scene_names
+from ..scene.loading import load_scene, scene_names
 from ..visual.tables import text_table
 
 HEADER = ('scene', '', 'bodies', 'cut joints', 'drives', 'description')

@@ -12,8 +12,8 @@ from .command import (
     TABLE, TORQUE, UsageError, whole, with_numbers)
 from ..recording.modes import mode_motion, mode_table, usual_amplitude
 from ..recording.rows import write_scene
+from ..scene.loading import load_scene
 from ..simulation.linearisation import Linearisation
-from ..simulation.scene import load_scene
 from ..visual.progress import announced
 from ..visual.tables import short, text_table, write_csv
 

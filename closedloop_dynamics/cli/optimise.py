@@ -14,16 +14,15 @@ from .command import (
     READING_OPTIONS, require_writable, SCENE, scene_to_change, SET, UsageError, whole)
 from .kinematics import drive_options, interval, paced
 from ..mechanism.csv_columns import read_columns
+from ..mechanism.errors import AssemblyError
 from ..mechanism.fields import at, FieldError
-from ..simulation.errors import AssemblyError
-from ..simulation.key_paths import numbers
-from ..simulation.scene import load_scene
-from ..simulation.scene_edit import MECHANISM, write_with_numbers
-from ..simulation.scene_text import write_scene
+from ..scene.edit import MECHANISM, write_with_numbers
+from ..scene.key_paths import numbers
+from ..scene.loading import load_scene
+from ..scene.text import write_scene
 from ..simulation.signals import program_watch
 from ..studies.objectives import places_named
-from ..studies.optimise import (
-    aims_of, FRONT, OptimumFileError, POSES, problem_of, solve, STARTS)
+from ..studies.optimise import aims_of, FRONT, OptimumFileError, POSES, problem_of, solve, STARTS
 from ..studies.quantities import Infeasible
 from ..visual.progress import announced, parts_bar
 from ..visual.tables import short, text_table, write_csv

@@ -14,13 +14,13 @@ from .command import (
     Argument, checked_torques, Command, complain, FAILED, Group, mapping, MOTION, OVERWRITE,
     positive, reading_options, require_free, SCENE, scene_of, SET, TABLE, TORQUE, UsageError)
 from ..integration.registry import ADAPTIVE, AUTO, INTEGRATORS, STABILISATIONS
+from ..mechanism.errors import InaccuracyWarning, SimulationError
 from ..recording.cost import allowance, probe
 from ..recording.rows import write_scene
 from ..recording.run import columns, ErrorEstimate, headings, Report, run
-from ..simulation.errors import InaccuracyWarning, SimulationError
+from ..scene.records import SMALLEST_STEP
 from ..simulation.monitor import energy_in_words
 from ..simulation.rollout_run import TIME_ROUNDING
-from ..simulation.scene_records import SMALLEST_STEP
 from ..simulation.signals import program_watch
 from ..simulation.simulation import Simulation
 from ..visual.progress import announced, progress_to

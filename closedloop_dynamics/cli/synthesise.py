@@ -13,7 +13,7 @@ from .command import (
     Argument, Command, directory_options, free_paths, positive, UsageError, whole)
 from ..mechanism.csv_columns import read_columns
 from ..mechanism.fields import FieldError
-from ..simulation.scene_text import write_scene
+from ..scene.text import write_scene
 from ..visual.progress import announced
 from ..visual.tables import text_table
 

@@ -8,7 +8,7 @@ from pathlib import Path
 from .command import Argument, Command, Output, UsageError
 from ..effects.end_stop import stops_of
 from ..formats.urdf_loops import CONSTRAINT, DRAKES, LOOP
-from ..simulation.scene import load_scene_or_mechanism
+from ..scene.loading import load_scene_or_mechanism
 from ..simulation.simulation import Simulation
 from ..visual.srdf import srdf
 from ..visual.urdf import urdf

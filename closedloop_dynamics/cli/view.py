@@ -18,10 +18,10 @@ from .command import (
     READING_OPTIONS, recording_arguments, recording_of, UsageError, whole, with_motion,
     with_numbers)
 from ..control.errors import StartError
+from ..mechanism.errors import AssemblyError
 from ..mechanism.extras import require
 from ..mechanism.fields import FieldError
 from ..recording.recording import since_the_last_reset
-from ..simulation.errors import AssemblyError
 from ..simulation.signals import program_watch
 from ..view.columns import motion_columns
 from ..view.description import describe

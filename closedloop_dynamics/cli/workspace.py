@@ -12,10 +12,10 @@ from .command import (
     Argument, assignment, Command, Group, interrupted, mapping, picture_option, positive,
     READING_OPTIONS, require_free, SCENE, scene_to_change, SET, UsageError, whole)
 from .kinematics import interval, motion_of, value_of
+from ..kinematics.driven import BranchEndError
+from ..mechanism.errors import AssemblyError
 from ..recording.workspace import (
     compute, MEANINGS, QUANTITIES, REACHED, Request, WorkspaceFileError)
-from ..simulation.driven import BranchEndError
-from ..simulation.errors import AssemblyError
 from ..simulation.signals import program_watch
 from ..visual.progress import announced, parts_bar
 

@@ -13,8 +13,8 @@ from .references import CircularPath, PathError, PointToPointPath, Reference, Wa
 from .settings import IMPEDANCE, OPTIMAL_MODES
 from .torque_laws import ComputedTorque, ProportionalDerivative
 from ..effects.actuator import Actuator
+from ..mechanism.errors import SimulationError
 from ..mechanism.extras import MissingLibraryError
-from ..simulation.errors import SimulationError
 
 # What regulators do not follow.
 _NOT_OPTIMAL = 'circle_point', 'target_velocity', 'move_amplitude', 'feedforward'

@@ -10,8 +10,8 @@ from .settings import FEEDBACK_MODES, SETTINGS
 from ..mechanism.checks import list_of, number, one_of, text
 from ..mechanism.config import shipped_names, shipped_path
 from ..mechanism.document import Document
+from ..mechanism.errors import SimulationError
 from ..mechanism.fields import at, FieldError, mapping, shown
-from ..simulation.errors import SimulationError
 from ..simulation.simulation import Simulation
 
 KIND = 'controllers'

@@ -13,9 +13,9 @@ driven ones (principle of virtual power).
 import numpy as np
 
 from .errors import StartError
+from ..kinematics.geometry import Geometry
 from ..mechanism.kinematics import body_poses, body_velocities, poses_in_space, wrench_in_joints
 from ..mechanism.rotations import composed, CONJUGATE, rotated, rotation_vector
-from ..simulation.geometry import Geometry
 
 # Of forces and torques in space, those of a planar mechanism: along x and y, about z.
 IN_PLANE = [0, 1, 5]

@@ -12,11 +12,11 @@ order with the loops closed. Costs are sums of x^T Q x + u^T R u.
 import numpy as np
 from scipy.linalg import solve_discrete_are
 
+from ..kinematics.state import State
+from ..mechanism.errors import SimulationError
 from ..mechanism.extras import require
-from ..simulation.errors import SimulationError
+from ..mechanism.named_array import reals
 from ..simulation.model import Model
-from ..simulation.named_array import reals
-from ..simulation.state import State
 from ..simulation.stepper import Stepper
 
 # Rates at the end of a path, against the largest on it, that are what a spline leaves.

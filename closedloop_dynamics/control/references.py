@@ -13,13 +13,13 @@ import math
 
 import numpy as np
 
+from ..kinematics.assembly import Assembler
+from ..kinematics.driven import BranchEndError, DrivenKinematics
+from ..kinematics.geometry import Geometry
+from ..kinematics.modeling import extent
 from ..mechanism.kinematics import body_poses, named_point, pose_of
 from ..mechanism.mechanism import DrivingConstraint, Point
 from ..mechanism.rotations import about_z, composed, CONJUGATE, of_quaternion, quaternion_about
-from ..simulation.assembly import Assembler
-from ..simulation.driven import BranchEndError, DrivenKinematics
-from ..simulation.geometry import Geometry
-from ..simulation.modeling import extent
 
 # Positions around the circle that the joints are solved for; their harmonics are exact to
 # rounding for circles that keep away from singular configurations.

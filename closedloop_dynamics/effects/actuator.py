@@ -21,7 +21,7 @@ from typing import Optional
 from .effect import Effect
 from .element import ForceElement, OWN, State, WORK
 from .force_law import DRIVE, force_law
-from ..core.codegen.expression_graph import chosen, larger, smaller
+from ..codegen.expression_graph import chosen, larger, smaller
 from ..mechanism.checks import freedom, not_negative, positive
 
 # Share of the speed limit over which the driving torque fades.

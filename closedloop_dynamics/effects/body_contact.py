@@ -35,9 +35,9 @@ from .contact_force import contact_force, contact_law, press, sliding
 from .effect import Effect, require_point
 from .element import DISSIPATED, ForceElement, State
 from .force_law import BOUNDARY, OUTLINE, ROUND
-from ..core.codegen import function_table as calls
-from ..core.codegen.expression_graph import chosen, square_root
-from ..core.codegen.vectors import add, dot, scale, subtract
+from ..codegen import function_table as calls
+from ..codegen.expression_graph import chosen, square_root
+from ..codegen.vectors import add, dot, scale, subtract
 from ..mechanism.checks import (
     boolean, direction, list_of, name, not_negative, number, one_of, positive, text)
 from ..mechanism.fields import at, FieldError, shown

@@ -29,8 +29,8 @@ import numpy as np
 from .effect import Effect, require_one_end
 from .element import DISSIPATED, ForceElement, State
 from .force_law import force_law
-from ..core.codegen.expression_graph import square_root
-from ..core.codegen.vectors import add, cross, dot, scale, subtract, ZERO
+from ..codegen.expression_graph import square_root
+from ..codegen.vectors import add, cross, dot, scale, subtract, ZERO
 from ..mechanism.checks import name, none_negative, not_negative, number, orientation, vector
 from ..mechanism.fields import FieldError, shown
 from ..mechanism.mechanism import GROUND, Quaternion, UNTURNED, Vector, Vector3

@@ -38,8 +38,8 @@ import numpy as np
 from .effect import Effect, require_point
 from .element import DISSIPATED, ForceElement, State
 from .force_law import BOUNDARY, force_law
-from ..core.codegen.expression_graph import arctangent, chosen, larger, square_root
-from ..core.codegen.vectors import add, cross, dot, IDENTITY, scale, subtract, ZERO
+from ..codegen.expression_graph import arctangent, chosen, larger, square_root
+from ..codegen.vectors import add, cross, dot, IDENTITY, scale, subtract, ZERO
 from ..mechanism.checks import direction, list_of, name, not_negative, number, positive
 from ..mechanism.fields import at, FieldError, shown
 from ..mechanism.mechanism import Vector3

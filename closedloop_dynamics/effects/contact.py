@@ -27,7 +27,7 @@ from .contact_force import contact_force, contact_law, press, sliding
 from .effect import Effect
 from .element import DISSIPATED, ForceElement, State
 from .force_law import BOUNDARY
-from ..core.codegen.vectors import dot, in_space, subtract
+from ..codegen.vectors import dot, in_space, subtract
 from ..mechanism.checks import direction, name, not_negative, number, positive, vector
 from ..mechanism.fields import FieldError, shown
 from ..mechanism.mechanism import Vector, Vector3

@@ -4,8 +4,8 @@
 """Forces of contacts, by the law of Hunt and Crossley with friction, for laws on symbols."""
 
 from .force_law import force_law
-from ..core.codegen.expression_graph import chosen, larger, square_root
-from ..core.codegen.vectors import add, dot, scale
+from ..codegen.expression_graph import chosen, larger, square_root
+from ..codegen.vectors import add, dot, scale
 
 
 def contact_law(**keys):

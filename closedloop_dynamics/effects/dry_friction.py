@@ -7,8 +7,8 @@ import math
 
 from .element import DISSIPATED, ForceElement, LOAD_TIME, OWN, State
 from .force_law import force_law, FRICTION
-from ..core.codegen.expression_graph import chosen, exponential
-from ..core.codegen.live_scene import REST
+from ..codegen.expression_graph import chosen, exponential
+from ..codegen.live_scene import REST
 
 
 def direction_of(rate):

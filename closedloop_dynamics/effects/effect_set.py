@@ -17,10 +17,10 @@ from .element import DISSIPATED, FOLLOWED, OWN, states_of, STORED, WORK
 from .force_law import FRICTION, INERTIA, MOTION
 from .sensor import Chain
 from .traced_effect import TracedEffect, TracedLaw
-from ..core import codegen
-from ..core.codegen import joint_kernels
-from ..core.codegen.function_table import EVALUATION
-from ..core.types import TYPE, VARIES
+from .. import codegen
+from ..codegen import joint_kernels
+from ..codegen.function_table import EVALUATION
+from ..engine.types import TYPE, VARIES
 from ..mechanism.checks import boolean, one_of
 from ..mechanism.fields import at, FieldError, keys_of, mapping
 

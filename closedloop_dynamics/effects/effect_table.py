@@ -9,7 +9,7 @@ import numpy as np
 
 from . import law_code
 from .element import NO_CUTS, Row
-from ..core.types import Handle
+from ..engine.types import Handle
 
 
 class EffectElement(NamedTuple):

@@ -8,7 +8,7 @@ from typing import NamedTuple, Tuple
 import numpy as np
 
 from .force_law import ForceLaw, FRICTION, INERTIA, NO_GAP
-from ..core.codegen.function_table import VALUE_COLUMNS
+from ..codegen.function_table import VALUE_COLUMNS
 
 # Place among the values of a law that wants the reaction in its joint: time constant of that [s].
 LOAD_TIME = 11

@@ -20,7 +20,7 @@ from typing import Optional
 from .effect import Effect
 from .element import DISSIPATED, ForceElement, State
 from .force_law import BOUNDARY, force_law
-from ..core.codegen.expression_graph import chosen, larger
+from ..codegen.expression_graph import chosen, larger
 from ..mechanism.checks import freedom, not_negative, number, positive
 from ..mechanism.fields import FieldError
 

@@ -18,7 +18,7 @@ from .effect import BODY, Effect, WORLD
 from .element import ForceElement, State, WORK
 from .force_law import force_law
 from .points import of_body_or_world
-from ..core.codegen.vectors import add, dot, ZERO
+from ..codegen.vectors import add, dot, ZERO
 from ..mechanism.checks import name, number, one_of, one_or_several, vector, vector3
 from ..mechanism.fields import at
 from ..mechanism.mechanism import Vector, Vector3

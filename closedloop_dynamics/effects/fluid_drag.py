@@ -20,8 +20,8 @@ import numpy as np
 from .effect import Effect
 from .element import DISSIPATED, ForceElement, State, WORK
 from .force_law import force_law
-from ..core.codegen.expression_graph import square_root
-from ..core.codegen.vectors import add, dot, in_space, scale, subtract, ZERO
+from ..codegen.expression_graph import square_root
+from ..codegen.vectors import add, dot, in_space, scale, subtract, ZERO
 from ..mechanism.checks import (
     name, none_negative, not_negative, number, one_or_several, orientation, vector)
 from ..mechanism.fields import FieldError, shown

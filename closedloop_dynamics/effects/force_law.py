@@ -5,7 +5,7 @@
 Laws of effects on symbols: what they are to the engine, and what a row of the table gives them.
 
 A law is a function that stands in the file of its effect. It takes the forces
-(``core.codegen.scene_routines.Forces``) when it is the turn of a row, and says what acts, what is
+(``codegen.scene_routines.Forces``) when it is the turn of a row, and says what acts, what is
 stored and lost, and what is read. The code of whole scenes, derivatives, C and the routine of the
 law by itself are traced from it.
 """

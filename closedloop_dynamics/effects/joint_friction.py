@@ -13,7 +13,7 @@ steps. A state says which way the joint slides (1 or -1) or that it is at rest (
 is constant within a step and changes between steps (``engine/stick_slip.hpp``). What holds the
 joints at rest is found with each evaluation (``engine/static_friction.hpp``), which costs an
 evaluation more for each of them, while they rest, but for a single one
-(``core/codegen/live_scene.py``). A joint that loops and prescribed
+(``codegen/live_scene.py``). A joint that loops and prescribed
 motions hold at rest needs no friction, and any would do: it has none.
 
 R is the magnitude of the joint's own constraint force (in a prismatic joint: its part across

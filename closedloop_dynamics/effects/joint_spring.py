@@ -21,8 +21,8 @@ from dataclasses import dataclass
 from .effect import Effect
 from .element import ForceElement
 from .force_law import force_law
-from ..core.codegen.expression_graph import arctangent, chosen, larger, square_root
-from ..core.codegen.vectors import dot, scale, subtract, ZERO
+from ..codegen.expression_graph import arctangent, chosen, larger, square_root
+from ..codegen.vectors import dot, scale, subtract, ZERO
 from ..mechanism.checks import freedom, not_negative, number
 from ..mechanism.fields import FieldError, shown
 from ..mechanism.rotations import of_quaternion

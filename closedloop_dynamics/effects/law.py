@@ -19,7 +19,7 @@ from numbers import Real
 from typing import Dict, Optional, Tuple, Union
 
 from .traced_effect import AXES, TracedEffect
-from ..core.codegen.expression_graph import (
+from ..codegen.expression_graph import (
     arctangent, cosine, exponential, larger, logarithm, sine, smaller, square_root)
 from ..mechanism.checks import freedom, listed, name, number, one_of, vector
 from ..mechanism.expressions import CONSTANTS, FUNCTIONS, value_of

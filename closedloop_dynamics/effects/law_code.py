@@ -9,9 +9,9 @@ whatever terms they have: a change of these compiles nothing.
 """
 
 from .force_law import INERTIA, MOTION, PROFILE
-from ..core.codegen import plane, space
-from ..core.codegen.function_table import VALUE_COLUMNS
-from ..core.codegen.law_routine import addresses_of_laws, RowTrace
+from ..codegen import plane, space
+from ..codegen.function_table import VALUE_COLUMNS
+from ..codegen.law_routine import addresses_of_laws, RowTrace
 from ..engine import native
 
 # What the engine knows of routines, by their addresses.

@@ -19,7 +19,7 @@ from .effect import Effect, require_one_end
 from .element import ForceElement
 from .force_law import force_law
 from .points import pull_together, two_places
-from ..core.codegen.expression_graph import square_root
+from ..codegen.expression_graph import square_root
 from ..mechanism.checks import name, number, positive, vector
 from ..mechanism.mechanism import Vector
 

@@ -14,7 +14,7 @@ from dataclasses import dataclass
 from typing import Tuple, Union
 
 from .effect import Effect
-from ..core.codegen import space
+from ..codegen import space
 from ..mechanism.checks import name, not_negative, one_or_several, vector
 from ..mechanism.fields import at
 from ..mechanism.mechanism import Vector

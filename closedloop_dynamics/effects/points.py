@@ -4,12 +4,12 @@
 """
 Forces at points of bodies, for laws on symbols.
 
-``forces`` are those of ``core.codegen.scene_routines``; bodies are their rows, places are in the
+``forces`` are those of ``codegen.scene_routines``; bodies are their rows, places are in the
 frames of these, all else is in world axes.
 """
 
-from ..core.codegen.expression_graph import chosen, square_root
-from ..core.codegen.vectors import dot, in_space, scale, subtract
+from ..codegen.expression_graph import chosen, square_root
+from ..codegen.vectors import dot, in_space, scale, subtract
 
 
 def push_apart(forces, bodies, offsets, direction, force):

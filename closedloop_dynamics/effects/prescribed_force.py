@@ -21,7 +21,7 @@ from .effect import BODY, Effect, WORLD
 from .element import ForceElement, OWN, State, WORK
 from .force_law import force_law, PROFILE
 from .points import of_body_or_world
-from ..core.codegen.vectors import dot, scale
+from ..codegen.vectors import dot, scale
 from ..mechanism.checks import (
     freedom, list_of, name, not_negative, number, one_of, positive, text, vector)
 from ..mechanism.fields import at, FieldError, shown

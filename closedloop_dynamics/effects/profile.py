@@ -17,7 +17,7 @@ from operator import itemgetter
 
 import numpy as np
 
-from ..core.codegen.expression_graph import chosen, cosine, sine
+from ..codegen.expression_graph import chosen, cosine, sine
 from ..mechanism.fields import FieldError, shown
 
 # Columns of a piece: its start [s], c0 to c5, a, w, p.

@@ -35,8 +35,8 @@ import numpy as np
 from .effect import Effect
 from .element import ForceElement
 from .reflected_inertia import reflected_inertia
-from ..core.codegen import space
-from ..core.types import ARMATURE, DOF, PARENT, REVOLUTE, REVOLUTE_ARMATURE, TYPE
+from ..codegen import space
+from ..engine.types import ARMATURE, DOF, PARENT, REVOLUTE, REVOLUTE_ARMATURE, TYPE
 from ..mechanism.checks import direction, freedom, not_negative, number
 from ..mechanism.fields import FieldError, shown
 from ..mechanism.mechanism import COUPLED, FIXED, GROUND, PRISMATIC, Vector3

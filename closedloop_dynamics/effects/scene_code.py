@@ -17,11 +17,11 @@ from .element import (
     ACROSS_B, AXIS, FOLLOWED, IN_PLANE, POINT_A, POINT_B, RATE_ONLY, ROW_A, ROW_B, SCALE, SIDE_A,
     SIDE_B, SLIDES, ZERO)
 from .force_law import FRICTION, INERTIA, MOTION
-from ..core.codegen import function_table as calls, with_torque_response
-from ..core.codegen.live_scene import address_of_scene, AT_ONCE, LiveForces
-from ..core.codegen.machine_code import LANES, PACKED
-from ..core.types import BALL, DOF, TYPE
+from ..codegen import function_table as calls, with_torque_response
+from ..codegen.live_scene import address_of_scene, AT_ONCE, LiveForces
+from ..codegen.machine_code import LANES, PACKED
 from ..engine import native
+from ..engine.types import BALL, DOF, TYPE
 
 _CUT_COLUMNS = {'POINT_A': POINT_A, 'POINT_B': POINT_B, 'AXIS': AXIS, 'SIDE_A': SIDE_A,
                 'SIDE_B': SIDE_B, 'ACROSS_B': ACROSS_B, 'SCALE': SCALE, 'ZERO': ZERO}
@@ -150,7 +150,7 @@ def _addresses(model, table, key, form=PACKED):
 
 class SceneLaws:
     """
-    The laws of a scene, for ``core.codegen.live_scene.LiveTrace``.
+    The laws of a scene, for ``codegen.live_scene.LiveTrace``.
 
     Parameters
     ----------

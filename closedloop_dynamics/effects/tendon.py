@@ -20,7 +20,7 @@ from typing import Tuple, Union
 from .along_joints import AlongJoints
 from .element import DISSIPATED, ForceElement, State
 from .force_law import force_law
-from ..core.codegen.expression_graph import larger, smaller
+from ..codegen.expression_graph import larger, smaller
 from ..mechanism.checks import list_of, number
 from ..mechanism.fields import FieldError, shown
 

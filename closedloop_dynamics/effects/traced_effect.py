@@ -18,13 +18,11 @@ from .element import DISSIPATED, ForceElement, OWN, State, WORK
 from .force_law import EVENT, ForceLaw, NO_GAP
 from .points import line_between, push_apart
 from .user_code import defined, definition
-from ..core.codegen.differentiation import differentiated
-from ..core.codegen.expression_graph import (
-    chosen, ExpressionGraph, LOAD, needed_for, replayed, Symbol)
-from ..core.codegen.function_table import VALUE_COLUMNS
-from ..core.codegen.vectors import dot
-from ..mechanism.checks import name as name_check
-from ..mechanism.checks import one_of, vector2, vector3
+from ..codegen.differentiation import differentiated
+from ..codegen.expression_graph import chosen, ExpressionGraph, LOAD, needed_for, replayed, Symbol
+from ..codegen.function_table import VALUE_COLUMNS
+from ..codegen.vectors import dot
+from ..mechanism.checks import name as name_check, one_of, vector2, vector3
 from ..mechanism.fields import at, FieldError, shown
 
 # Inputs of the arithmetic: parameters; what is measured; own states.
@@ -250,7 +248,7 @@ class TracedEffect(Effect):
         ----------
         law : Tracing
             What the law sees and does; for branches there is
-            ``core.codegen.expression_graph.chosen``.
+            ``codegen.expression_graph.chosen``.
 
         """
         raise NotImplementedError
@@ -334,7 +332,7 @@ def _require_complete(law):
     """Refuse a law with branches, states without rates, or more than there is room for."""
     if law.graph.guard is not None:
         raise FieldError('a law without if, min and max of Python on what it measures', 'a branch',
-                         'take chosen, smaller and larger of core.codegen.expression_graph')
+                         'take chosen, smaller and larger of codegen.expression_graph')
     for name in {**law.states, **law.rates}:
         name_check(name)
         if name not in law.rates or name not in law.states:

@@ -12,7 +12,7 @@ code.
 from .element import DISSIPATED, WORK
 from .force_law import MOTION
 from .registry import effect_type
-from ..core.codegen.function_table import VALUE_COLUMNS
+from ..codegen.function_table import VALUE_COLUMNS
 
 
 def refused(effects, instant=False, along=False, driven=False):

@@ -13,7 +13,7 @@
 namespace closedloop
 {
 
-/// Lanes of a batch; core/codegen/function_table.py has the same number.
+/// Lanes of a batch; codegen/function_table.py has the same number.
 constexpr Index LANES = 8;
 
 /// Mechanisms of one topology in all lanes; arrays are stored lane by lane.

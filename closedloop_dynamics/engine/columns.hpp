@@ -6,8 +6,8 @@
 
 #include "array.hpp"
 
-// Columns of the arrays. The names and meanings are those of core/types.py, core/codegen/space.py,
-// core/codegen/function_table.py; a test compares them.
+// Columns of the arrays. The names and meanings are those of engine/types.py, codegen/space.py,
+// codegen/function_table.py; a test compares them.
 
 namespace closedloop
 {

@@ -17,7 +17,7 @@
 namespace closedloop
 {
 
-// Generated code finds the size so many places behind the gain (core/codegen/routines.py).
+// Generated code finds the size so many places behind the gain (codegen/routines.py).
 static_assert(
   offsetof(Settings, size) - offsetof(Settings, baumgarte_gain) == 4 * sizeof(double));
 

@@ -31,7 +31,7 @@ struct CutParts
 /// body lies in one piece of memory; row 0 is the ground: recursions need no special case for it.
 /// Bodies are numbered so that a parent comes before its children, subsystem by subsystem;
 /// coordinates, rates, torques and multipliers of the interface keep the user's order. Columns are
-/// those of core/types.py.
+/// those of engine/types.py.
 struct Model
 {
   /// Shape (nb + 1, 7): topology.

@@ -12,7 +12,7 @@ namespace closedloop
 {
 
 /// How many joints at rest routine::AT_REST holds, of so many under dry friction: both where these
-/// are two (core/codegen/live_scene.py), else one.
+/// are two (codegen/live_scene.py), else one.
 constexpr Index held_at_once(Index frictions) {return frictions == 2 ? 2 : 1;}
 
 /// Index of the routine of that code for the present states of the effects; negative where there is

@@ -64,7 +64,7 @@ struct Tape
   }
 };
 
-/// The routines of core/codegen/sensitivities.py, and the arrays that they work on.
+/// The routines of codegen/sensitivities.py, and the arrays that they work on.
 struct StepRoutines
 {
   Indices table;

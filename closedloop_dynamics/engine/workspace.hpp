@@ -45,7 +45,7 @@ struct Workspace
   Array<Values> torque;
   /// Wrenches, and accelerations, of inverse dynamics.
   Array<Table> force;
-  /// Columns are those of core/types.py.
+  /// Columns are those of engine/types.py.
   Array<Values> health;
 
   Workspace() = default;

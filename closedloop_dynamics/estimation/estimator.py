@@ -25,11 +25,11 @@ from .plant import Plant, PointsPlant
 from .results import Alarm, Belief, Consistency, Estimate, Innovation, Observability
 from .sensors import AnySensor, LONGEST_DELAY
 from .unknowns import AnyUnknown
+from ..kinematics.state import State
 from ..mechanism.checks import not_negative, one_of, positive, probability
 from ..mechanism.fields import among, at, nearest, normalise
+from ..scene.records import Method
 from ..simulation.model import Model
-from ..simulation.scene_records import Method
-from ..simulation.state import State
 
 EXTENDED, SIGMA_POINTS = 'extended', 'sigma_points'
 # Of good readings so many are used.

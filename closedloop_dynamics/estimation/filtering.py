@@ -31,7 +31,7 @@ from .plant import Plant
 from .results import Innovation
 from .unknowns import Bias
 from ..engine import native
-from ..simulation.errors import SimulationError
+from ..mechanism.errors import SimulationError
 
 # Longest period that is stepped at once [s]: noise is taken to be even in it.
 LONGEST_PERIOD = 0.02

@@ -7,14 +7,14 @@ from typing import Any, NamedTuple, Optional, Sequence, Tuple
 
 import numpy as np
 
-from ..core.codegen import function_table as calls
-from ..core.codegen.machine_code import machine_code, SCALAR
-from ..core.codegen.motion_derivatives import AXES, FORCE, MotionTrace, PLACE, POINT_NUMBERS, SPIN
-from ..core.codegen.routines import topology
-from ..core.codegen.scene_routines import POINT
-from ..core.codegen.sensitivities import RESULT, SEED, TABLE_COLUMNS
+from ..codegen import function_table as calls
+from ..codegen.machine_code import machine_code, SCALAR
+from ..codegen.motion_derivatives import AXES, FORCE, MotionTrace, PLACE, POINT_NUMBERS, SPIN
+from ..codegen.routines import topology
+from ..codegen.scene_routines import POINT
+from ..codegen.sensitivities import RESULT, SEED, TABLE_COLUMNS
 from ..engine import native
-from ..simulation.errors import SingularityError
+from ..mechanism.errors import SingularityError
 from ..simulation.traced_scene import TracedScene
 
 

@@ -10,17 +10,17 @@ from typing import Any, Dict, List, Mapping, Sequence, Tuple, Union
 import numpy as np
 
 from .unknowns import JointTorque, Unknown
-from ..core.codegen import function_table as calls
+from ..codegen import function_table as calls
 from ..effects.force_law import FRICTION
+from ..kinematics.state import State
+from ..mechanism.errors import SimulationError
 from ..mechanism.fields import FieldError
+from ..scene.key_paths import changed, numbers as numbers_of, resolve
+from ..scene.records import Method, Scene
 from ..simulation.data import Data
-from ..simulation.errors import SimulationError
-from ..simulation.key_paths import changed, numbers as numbers_of, resolve
 from ..simulation.model import Model
 from ..simulation.parameters import parameter_arrays
-from ..simulation.scene_records import Method, Scene
 from ..simulation.simulation import Simulation
-from ..simulation.state import State
 from ..simulation.step_derivatives import turned
 from ..simulation.stepper import Stepper
 

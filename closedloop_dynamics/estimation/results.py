@@ -8,8 +8,8 @@ from typing import Any, Dict, Mapping, NamedTuple, Optional, Sequence, Tuple
 
 import numpy as np
 
+from ..kinematics.state import State
 from ..mechanism.fields import among, nearest
-from ..simulation.state import State
 
 
 class Belief(NamedTuple):

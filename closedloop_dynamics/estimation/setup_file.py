@@ -35,7 +35,7 @@ from ..mechanism.checks import one_of, probability, text
 from ..mechanism.document import Document, plain
 from ..mechanism.fields import at, FieldError, keys_of, mapping, shown
 from ..mechanism.mechanism import MechanismError
-from ..simulation.scene_records import Scene
+from ..scene.records import Scene
 
 SENSORS: Dict[str, Type[Sensor]] = {
     'joint': JointSensor, 'imu': ImuSensor, 'point': PointSensor, 'pose': PoseSensor,

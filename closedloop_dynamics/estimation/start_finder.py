@@ -6,7 +6,7 @@
 from dataclasses import replace
 
 from .sensors import JointSensor, POSITION, RATE
-from ..simulation.passive_joint_solver import PassiveJointSolver
+from ..kinematics.passive_joint_solver import PassiveJointSolver
 
 # Readings further apart give no rate [s].
 LONGEST = 0.2

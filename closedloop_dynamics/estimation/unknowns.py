@@ -23,8 +23,8 @@ from ..mechanism.checks import (
     freedom, name, not_negative, one_of, positive, text, vector)
 from ..mechanism.fields import at, FieldError, normalise
 from ..mechanism.mechanism import Point
-from ..simulation.key_paths import numbers, resolve
-from ..simulation.scene_records import Scene
+from ..scene.key_paths import numbers, resolve
+from ..scene.records import Scene
 
 
 @dataclass(frozen=True)

@@ -17,11 +17,11 @@ from typing import NamedTuple, Optional
 import numpy as np
 
 from .registry import INDEPENDENT
-from ..core.codegen import function_table as calls, lanes
-from ..core.codegen.lanes import LANES
-from ..core.codegen.routines import topology
-from ..core.types import Handle
+from ..codegen import function_table as calls, lanes
+from ..codegen.lanes import LANES
+from ..codegen.routines import topology
 from ..effects import scene_code
+from ..engine.types import Handle
 
 
 class Batch(NamedTuple):

@@ -9,8 +9,8 @@ from typing import Callable, NamedTuple, Sequence
 import numpy as np
 
 from .system import number_of_equations, parts_of_state, System, with_equations
-from ..core.types import Model
 from ..engine import native
+from ..engine.types import Model
 
 QUANTITIES = ('acceleration', 'multipliers')
 
@@ -77,7 +77,7 @@ class Evaluator:
         ----------
         system : System
             Of the simulation.
-        model : core.types.Model
+        model : engine.types.Model
             With all equations; that of the system where none are left out.
         own : ndarray, shape (nz,)
             The effects' own states.

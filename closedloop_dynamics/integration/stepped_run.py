@@ -13,7 +13,7 @@ import numpy as np
 
 from .system import number_of_states, parts_of_state
 from .tableau import Tableau
-from ..core.codegen.function_table import LANES
+from ..codegen.function_table import LANES
 
 # Rows of the scratch of a run beside one for each stage of its method; see sensitivity.hpp.
 SCRATCH_ROWS = 20
@@ -42,7 +42,7 @@ class Tape(NamedTuple):
 
 
 class StepRoutines(NamedTuple):
-    """Routines of ``core.codegen.sensitivities``, and the arrays that they work on."""
+    """Routines of ``codegen.sensitivities``, and the arrays that they work on."""
 
     table: np.ndarray  # Of int: addresses
     qdd: np.ndarray  # Shape (nv,)

@@ -7,14 +7,14 @@ from typing import NamedTuple, Optional
 
 import numpy as np
 
-from ..core import codegen
-from ..core.codegen import function_table as calls, joint_kernels, space
-from ..core.equations import with_all_equations
-from ..core.manifold import manifold_of
-from ..core.types import Handle, Model, RANK_REVEALING_COUNT
+from .. import codegen
+from ..codegen import function_table as calls, joint_kernels, space
+from ..codegen.equations import with_all_equations
 from ..effects import scene_code
 from ..effects.effect_table import EffectTable
 from ..effects.force_law import FRICTION
+from ..engine.manifold import manifold_of
+from ..engine.types import Handle, Model, RANK_REVEALING_COUNT
 
 # Unrolled code is three to twenty times as fast as loops over bodies. It grows with the mechanism:
 # up to so many operations of an evaluation, as they are traced, it is compiled in fifteen seconds

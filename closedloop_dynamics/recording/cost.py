@@ -11,8 +11,8 @@ import time
 from .run import ErrorEstimate, Report, run
 from ..integration.control import LONGEST_PAUSE, WINDOW
 from ..integration.registry import AUTO, FIXED, INTEGRATORS
+from ..mechanism.errors import SimulationError
 from ..simulation.budget import allowed
-from ..simulation.errors import SimulationError
 from ..simulation.simulation import Simulation
 
 # CPU time that a probe may take [s]; one that took less than the second is made once more, and the

@@ -12,16 +12,16 @@ from .kinematics import Drive, DrivenRun
 from .quantities import by_name, Extreme, forces, moved, Quantity, torques
 from .transmission import transmission_angle
 from ..effects.end_stop import EndStop
+from ..kinematics.assembly import Assembler
+from ..kinematics.geometry import Geometry
+from ..kinematics.modeling import extent
+from ..kinematics.second_order import as_it_moves
 from ..mechanism.coordinates import unit_of
 from ..mechanism.differences import derivative, FIRST_6
 from ..mechanism.inertia import second_moments
 from ..mechanism.kinematics import body_poses, named_point, pose_of, world_points
 from ..mechanism.mechanism import REVOLUTE
-from ..simulation.assembly import Assembler
-from ..simulation.geometry import Geometry
-from ..simulation.key_paths import changed, numbers, resolve
-from ..simulation.modeling import extent
-from ..simulation.second_order import as_it_moves
+from ..scene.key_paths import changed, numbers, resolve
 
 TURN = 2.0 * math.pi
 # Poses of a cycle, and how near to a limit one that does not turn round comes, of its range.

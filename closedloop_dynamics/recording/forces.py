@@ -12,8 +12,8 @@ from .errors import RecordingError
 from .message_numbers import NANOSECONDS, stamp_of
 from .rosbag2 import open_bag
 from .run import moving_joints
+from ..kinematics.passive_joint_solver import PassiveJointError, PassiveJointSolver
 from ..mechanism.extras import of_an_extra
-from ..simulation.passive_joint_solver import PassiveJointError, PassiveJointSolver
 
 # Of the polynomials between measurements, so that accelerations have continuous slopes.
 DEGREE = 5

@@ -11,17 +11,17 @@ import numpy as np
 from .quantities import coordinate
 from .run import headings, row
 from ..effects.prescribed_motion import PrescribedMotion
+from ..kinematics.assemblies import find_assemblies
+from ..kinematics.assembly import Assembler
+from ..kinematics.driven import BranchEndError, DrivenKinematics
+from ..kinematics.geometry import Geometry
+from ..kinematics.motions import with_motions
+from ..kinematics.second_order import scene_as_it_moves
 from ..mechanism.differences import FIRST_4, SECOND_4
+from ..mechanism.errors import SimulationError
 from ..mechanism.fields import at, FieldError
 from ..mechanism.kinematics import named_paths
-from ..simulation.assemblies import find_assemblies
-from ..simulation.assembly import Assembler
-from ..simulation.driven import BranchEndError, DrivenKinematics
-from ..simulation.errors import SimulationError
-from ..simulation.geometry import Geometry
 from ..simulation.model import Model
-from ..simulation.motions import with_motions
-from ..simulation.second_order import scene_as_it_moves
 
 # Behind the dot of a driven point.
 AXES = 'xyz'
@@ -211,7 +211,7 @@ class DrivenRun:
 
 
 def assemblies(scene, drives):
-    """Return the assemblies at the first pose, a ``simulation.assemblies.Assembled``."""
+    """Return the assemblies at the first pose, a ``kinematics.assemblies.Assembled``."""
     scene = scene_as_it_moves(scene)
     mechanism = with_motions(_driven_scene(scene, drives, 1.0))
     return _assembled(mechanism, start_position(scene), [each.start for each in drives.values()])

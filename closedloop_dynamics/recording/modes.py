@@ -9,8 +9,8 @@ from typing import NamedTuple
 import numpy as np
 
 from .run import columns, row
+from ..kinematics.modeling import extent
 from ..simulation.model import Model
-from ..simulation.modeling import extent
 
 # How often a mode is repeated, rows of each time, and how long one lasts that does not
 # oscillate [s].

@@ -16,8 +16,8 @@ from .message_numbers import (
 from .rosbag2 import open_bag
 from .rows import read_rows
 from ..mechanism.mechanism import MechanismError
-from ..simulation.scene import SceneError
-from ..simulation.scene_text import read_scene_text
+from ..scene.loading import SceneError
+from ..scene.text import read_scene_text
 from ..visual.trajectory import Trajectory, wrench_parts
 
 STATES, FORCES, LOG, SCENE = 'joint_states', 'constraint_forces/', 'replay_log', 'scene'

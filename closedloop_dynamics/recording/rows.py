@@ -18,11 +18,11 @@ import re
 import numpy as np
 
 from .errors import RecordingError
+from ..kinematics.modeling import extent
+from ..kinematics.second_order import scene_as_it_moves
 from ..mechanism.closure import closure
 from ..mechanism.kinematics import body_poses, named_point
-from ..simulation.modeling import extent
-from ..simulation.second_order import scene_as_it_moves
-from ..simulation.scene_text import read_scene_text, scene_text
+from ..scene.text import read_scene_text, scene_text
 from ..visual.trajectory import from_rows, without_marks
 
 # Share of the mechanism's size by which points and closure may differ from the rows', and share

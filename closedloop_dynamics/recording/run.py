@@ -10,14 +10,14 @@ import time
 
 import numpy as np
 
-from ..core.types import EVALUATIONS
+from ..engine.types import EVALUATIONS
 from ..integration.registry import AUTO, FIXED, INTEGRATORS
+from ..kinematics.redundancy import wrench_names
 from ..mechanism.coordinates import QUANTITIES
+from ..mechanism.errors import SimulationError
 from ..mechanism.mechanism import CUT_WITHOUT_MOMENT, JOINT_FREEDOMS, REVOLUTE
 from ..simulation.budget import FINEST
-from ..simulation.errors import SimulationError
 from ..simulation.readings import readings_of
-from ..simulation.redundancy import wrench_names
 from ..simulation.rollout_run import TIME_ROUNDING
 from ..visual.trajectory import LEAST, wrench_parts
 

@@ -15,14 +15,14 @@ from typing import Dict, Mapping, Optional, Tuple
 
 import numpy as np
 
+from ..kinematics.driven import DrivenKinematics
+from ..kinematics.pose_grid import (
+    angles_of, Axis, begun, LEADING, orientation_of, Platform, PoseGrid, TURN, turn_between)
+from ..kinematics.singular_curves import all_curves, SingularCurves, TYPE_1, TYPE_2
+from ..mechanism.errors import AssemblyError
 from ..mechanism.kinematics import body_poses, pose_of, world_points
 from ..mechanism.mechanism import GROUND
-from ..simulation.driven import DrivenKinematics
-from ..simulation.errors import AssemblyError
-from ..simulation.pose_grid import (
-    angles_of, Axis, begun, LEADING, orientation_of, Platform, PoseGrid, TURN, turn_between)
-from ..simulation.scene_text import scene_text
-from ..simulation.singular_curves import all_curves, SingularCurves, TYPE_1, TYPE_2
+from ..scene.text import scene_text
 
 FREE, REACHED, AT_LIMIT, COLLIDES = range(4)
 MEANINGS = ('not reached', 'reached', 'beyond a limit of a joint', 'links too near')

@@ -7,7 +7,7 @@ from array import array
 
 from closedloop_dynamics.effects.end_stop import stops_of
 from closedloop_dynamics.ros.messages import LATCHED_QOS
-from closedloop_dynamics.simulation.scene_text import scene_text
+from closedloop_dynamics.scene.text import scene_text
 from closedloop_dynamics.visual.urdf import urdf
 import numpy as np
 from rclpy.qos import QoSProfile

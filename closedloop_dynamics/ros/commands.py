@@ -6,8 +6,8 @@
 import inspect
 import math
 
+from closedloop_dynamics.mechanism.errors import SimulationError
 from closedloop_dynamics.recording.message_numbers import pose_numbers, twist_numbers
-from closedloop_dynamics.simulation.errors import SimulationError
 import numpy as np
 from rclpy.event_handler import SubscriptionEventCallbacks
 from rclpy.qos import QoSProfile

@@ -14,8 +14,8 @@ import math
 import time
 from typing import Dict
 
-from closedloop_dynamics.core.types import SMALLEST_PIVOT
 from closedloop_dynamics.effects.registry import effect_type
+from closedloop_dynamics.engine.types import SMALLEST_PIVOT
 from closedloop_dynamics.ros.external_wrench import WRENCHES_REFUSED
 from closedloop_dynamics.ros.motion_command import LOST, REFUSED
 from closedloop_dynamics.ros.pacing import COMPUTING_SHARE, REALTIME, Throttle

@@ -8,9 +8,9 @@ from functools import partial
 
 from closedloop_dynamics.effects.external_force import ExternalForce
 from closedloop_dynamics.effects.registry import effect_type
+from closedloop_dynamics.mechanism.errors import StiffnessError
 from closedloop_dynamics.ros.pacing import Throttle
 from closedloop_dynamics.ros.process import StartError
-from closedloop_dynamics.simulation.errors import StiffnessError
 from geometry_msgs.msg import Vector3
 from rcl_interfaces.msg import ParameterDescriptor
 from rcl_interfaces.msg import SetParametersResult

@@ -11,13 +11,14 @@ them is published with the stamp that it is for. Nothing that comes in ends the 
 from collections import Counter
 from functools import partial
 
-from closedloop_dynamics.estimation.start_finder import StartFinder
 from closedloop_dynamics.estimation.errors import EstimationError
 from closedloop_dynamics.estimation.estimator import Estimator
 from closedloop_dynamics.estimation.setup_file import COMMAND, EFFORT, read_setup, SetupError
+from closedloop_dynamics.estimation.start_finder import StartFinder
 from closedloop_dynamics.estimation.streams import (
     MESSAGES, STATES, StreamError, Streams, topics_of)
 from closedloop_dynamics.estimation.unknowns import Wrench
+from closedloop_dynamics.mechanism.errors import SimulationError
 from closedloop_dynamics.mechanism.fields import FieldError
 from closedloop_dynamics.recording.message_numbers import NANOSECONDS, stamp_of
 from closedloop_dynamics.ros.bag import MessageTypes
@@ -33,7 +34,6 @@ from closedloop_dynamics.ros.pacing import LOCKSTEP, REALTIME
 from closedloop_dynamics.ros.parameters import ALLOW_CODE, declare, Parameter
 from closedloop_dynamics.ros.process import leaving_at_once, StartError
 from closedloop_dynamics.ros.timeline import Timeline
-from closedloop_dynamics.simulation.errors import SimulationError
 from closedloop_dynamics.simulation.model import Model
 from geometry_msgs.msg import WrenchStamped
 import numpy as np

@@ -6,9 +6,9 @@
 import math
 
 from closedloop_dynamics.effects.actuator import Actuator
+from closedloop_dynamics.mechanism.errors import SimulationError
 from closedloop_dynamics.mechanism.kinematics import wrench_in_joints
 from closedloop_dynamics.ros.commands import CommandError
-from closedloop_dynamics.simulation.errors import SimulationError
 import numpy as np
 
 # How long a wrench acts when none follows [s of simulated time].

@@ -10,6 +10,8 @@ that close the loops are found for each message, and published with its stamp.
 
 from closedloop_dynamics.control.controller import per_joint
 from closedloop_dynamics.effects.end_stop import stops_of
+from closedloop_dynamics.kinematics.passive_joint_solver import (
+    PassiveJointError, PassiveJointSolver)
 from closedloop_dynamics.recording.message_numbers import stamp_of
 from closedloop_dynamics.recording.run import moving_joints
 from closedloop_dynamics.ros.diagnostics import ERROR, Finding, OK, WARN
@@ -18,8 +20,6 @@ from closedloop_dynamics.ros.messages import LATCHED_QOS, StatePublisher
 from closedloop_dynamics.ros.node import CountingNode
 from closedloop_dynamics.ros.parameters import ALLOW_CODE, Parameter
 from closedloop_dynamics.ros.process import StartError
-from closedloop_dynamics.simulation.passive_joint_solver import (
-    PassiveJointError, PassiveJointSolver)
 from closedloop_dynamics.visual.urdf import urdf
 import numpy as np
 from rclpy.qos import QoSProfile

@@ -5,8 +5,8 @@
 
 import time
 
+from closedloop_dynamics.mechanism.errors import NumericalError
 from closedloop_dynamics.ros.external_wrench import ExternalWrench
-from closedloop_dynamics.simulation.errors import NumericalError
 import numpy as np
 
 # A state that does not change is published so often in simulated time [s of the steady clock].

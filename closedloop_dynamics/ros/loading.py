@@ -8,11 +8,11 @@ import warnings
 
 from closedloop_dynamics.effects.prescribed_motion import COMMANDED, PrescribedMotion
 from closedloop_dynamics.effects.user_code import run_code
+from closedloop_dynamics.mechanism.errors import InaccuracyWarning, SimulationError
 from closedloop_dynamics.recording.cost import allowance, probe
 from closedloop_dynamics.ros.parameters import ALLOW_CODE
 from closedloop_dynamics.ros.process import leaving_at_once, StartError
-from closedloop_dynamics.simulation.errors import InaccuracyWarning, SimulationError
-from closedloop_dynamics.simulation.scene import load_scene
+from closedloop_dynamics.scene.loading import load_scene
 from closedloop_dynamics.simulation.simulation import Simulation
 
 # Simulated time whose cost the start reports [s], calls in a second of it [Hz], and CPU time of

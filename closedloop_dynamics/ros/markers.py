@@ -13,11 +13,11 @@ import time
 
 from closedloop_dynamics.effects.contact import Contact
 from closedloop_dynamics.effects.external_force import ExternalForce
+from closedloop_dynamics.kinematics.modeling import extent
 from closedloop_dynamics.mechanism.kinematics import pose_of, poses_in_space, world_points
 from closedloop_dynamics.mechanism.rotations import direction, turned
 from closedloop_dynamics.ros.parameters import declare, Parameter
 from closedloop_dynamics.ros.process import StartError
-from closedloop_dynamics.simulation.modeling import extent
 from closedloop_dynamics.visual.appearance import (
     body_colors, CONTACT_COLOR, CUT_COLOR, FORCE_COLOR, joint_axes, marked_points, outline,
     PATH_COLOR, rgb, sliders, solid)

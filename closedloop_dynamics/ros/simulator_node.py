@@ -17,7 +17,8 @@ from importlib.util import find_spec
 import math
 import time
 
-from closedloop_dynamics.core.codegen import announced_by
+from closedloop_dynamics.codegen import announced_by
+from closedloop_dynamics.mechanism.errors import SimulationError
 from closedloop_dynamics.ros.auxiliary_publishers import Descriptions, ReplayLog
 from closedloop_dynamics.ros.background import IdleStateInhibitor, set_priority
 from closedloop_dynamics.ros.commands import (
@@ -37,7 +38,6 @@ from closedloop_dynamics.ros.parameters import declare_fact
 from closedloop_dynamics.ros.process import leaving_at_once, StartError, stop_requested
 from closedloop_dynamics.ros.simulator_parameters import (
     CHANGEABLE, METHOD, method_changes, SIMULATOR_PARAMETERS)
-from closedloop_dynamics.simulation.errors import SimulationError
 from closedloop_dynamics.simulation.pacer import Pacer
 from geometry_msgs.msg import WrenchStamped
 from rcl_interfaces.msg import SetParametersResult

@@ -13,12 +13,12 @@ import re
 import time
 from typing import Callable, NamedTuple
 
+from closedloop_dynamics.mechanism.errors import SimulationError
 from closedloop_dynamics.mechanism.kinematics import poses_in_space
 from closedloop_dynamics.ros.commands import SERVICE_QOS
 from closedloop_dynamics.ros.frames import WORLD
 from closedloop_dynamics.ros.messages import fill
 from closedloop_dynamics.ros.pacing import SLICE
-from closedloop_dynamics.simulation.errors import SimulationError
 from closedloop_dynamics.visual.placement import Placement, PlacementError
 import numpy as np
 from rclpy.action import ActionServer, CancelResponse

@@ -12,6 +12,7 @@ import time
 from closedloop_dynamics.control.controller import closed_loop, gains, open_loop
 from closedloop_dynamics.control.references import TrajectoryError
 from closedloop_dynamics.control.settings import FEEDBACK_MODES, MODEL_MODES
+from closedloop_dynamics.mechanism.errors import SimulationError
 from closedloop_dynamics.recording.message_numbers import stamp_of
 from closedloop_dynamics.ros.commands import CommandError, poses_of, SERVICE_QOS
 from closedloop_dynamics.ros.joint_trajectory import points_of
@@ -21,7 +22,6 @@ from closedloop_dynamics.ros.pacing import Throttle
 from closedloop_dynamics.ros.process import StartError
 from closedloop_dynamics.ros.timeline import Timeline
 from closedloop_dynamics.ros.torque_source_parameters import TORQUE_SOURCE_PARAMETERS
-from closedloop_dynamics.simulation.errors import SimulationError
 import numpy as np
 from rcl_interfaces.msg import ParameterType
 from rcl_interfaces.msg import SetParametersResult

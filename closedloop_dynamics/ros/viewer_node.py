@@ -13,7 +13,9 @@ import time
 
 from closedloop_dynamics.effects.actuator import Actuator
 from closedloop_dynamics.effects.gravity import Gravity
+from closedloop_dynamics.kinematics.modeling import extent
 from closedloop_dynamics.mechanism.checks import number, one_of
+from closedloop_dynamics.mechanism.errors import SimulationError
 from closedloop_dynamics.mechanism.fields import at, FieldError
 from closedloop_dynamics.mechanism.kinematics import body_poses, body_velocities, poses_in_space
 from closedloop_dynamics.mechanism.rotations import of_quaternion
@@ -26,10 +28,8 @@ from closedloop_dynamics.ros.messages import (
 from closedloop_dynamics.ros.node import ProgramNode
 from closedloop_dynamics.ros.parameters import ALLOW_CODE, Parameter
 from closedloop_dynamics.ros.simulator_parameters import METHOD
-from closedloop_dynamics.simulation.errors import SimulationError
-from closedloop_dynamics.simulation.modeling import extent
-from closedloop_dynamics.simulation.scene import SceneError
-from closedloop_dynamics.simulation.scene_text import read_scene_text
+from closedloop_dynamics.scene.loading import SceneError
+from closedloop_dynamics.scene.text import read_scene_text
 from closedloop_dynamics.simulation.simulation import Simulation
 from closedloop_dynamics.view.columns import motion_columns, motion_rows, motion_thinning_values
 from closedloop_dynamics.view.description import (

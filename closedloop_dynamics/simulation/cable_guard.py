@@ -5,7 +5,7 @@
 
 import math
 
-from .errors import NumericalError
+from ..mechanism.errors import NumericalError
 
 # Steps between checks, in which no pulley makes a real turn.
 CHECK_EVERY = 10

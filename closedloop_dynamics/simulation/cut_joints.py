@@ -5,12 +5,12 @@
 
 import numpy as np
 
-from ..core import types as t
-from ..core.codegen.space import FRAME
+from ..codegen.space import FRAME
 from ..effects.effect_table import EffectTable
 from ..effects.element import (
-    ACROSS_B, AXIS, CUT_INDEX_COLUMNS, CUT_VALUE_COLUMNS, IN_PLANE, POINT_A,
-    POINT_B, SCALE, SIDE_A, SIDE_B, SLIDES, ZERO)
+    ACROSS_B, AXIS, CUT_INDEX_COLUMNS, CUT_VALUE_COLUMNS, IN_PLANE, POINT_A, POINT_B, SCALE,
+    SIDE_A, SIDE_B, SLIDES, ZERO)
+from ..engine import types as t
 from ..mechanism.cut_freedoms import cut_freedoms
 from ..mechanism.mechanism import CYLINDRICAL, GROUND, HELICAL, PLANAR, REVOLUTE, SPHERICAL
 from ..mechanism.rotations import in_three, of_quaternion, quaternions_of

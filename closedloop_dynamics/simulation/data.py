@@ -16,30 +16,29 @@ from typing import Any, Callable, Iterable, Mapping, Optional, Sequence, Tuple, 
 import numpy as np
 from numpy.typing import ArrayLike
 
-from .assembly import Assembler
 from .cut_joints import acted_in, coordinate_arrays, CutJoints
-from .errors import AssemblyError, SimulationError
-from .geometry import Geometry
 from .guards import CLOSING
 from .inverse_dynamics import InverseDynamics
-from .modeling import extent
-from .motions import DrivingConstraints, require_actuated, with_motions
-from .named_array import reals
-from .scene_records import Method, Scene
-from .second_order import find_second_order, SecondOrder
-from .state import State
-from ..core import types as t
 from ..effects.effect import NameResolver
 from ..effects.effect_set import EffectSet
-from ..engine import native
+from ..engine import native, types as t
 from ..integration.evaluation import Evaluator, QUANTITIES, request
 from ..integration.registry import PROJECTION
 from ..integration.system import (
     build_system, LOOPS, number_of_equations, parts_of_state, refine, System, with_equations)
+from ..kinematics.assembly import Assembler
+from ..kinematics.geometry import Geometry
+from ..kinematics.modeling import extent
+from ..kinematics.motions import DrivingConstraints, require_actuated, with_motions
+from ..kinematics.second_order import find_second_order, SecondOrder
+from ..kinematics.state import State
 from ..mechanism.coordinates import Coordinates
 from ..mechanism.decomposition import decompose
+from ..mechanism.errors import AssemblyError, SimulationError
 from ..mechanism.fields import at
 from ..mechanism.mechanism import Mechanism, Point
+from ..mechanism.named_array import reals
+from ..scene.records import Method, Scene
 
 # Torques, or numbers of a state, by name or in their order.
 Numbers = Union[Mapping[str, Any], ArrayLike]

@@ -8,10 +8,10 @@ from functools import cache
 import numpy as np
 
 from .traced_scene import TracedScene
-from ..core.codegen import function_table as calls
-from ..core.codegen.derivatives import COLUMN, DerivativeTrace, FLOW, RATE
-from ..core.codegen.machine_code import LANES, machine_code, PACKED
-from ..core.codegen.routines import topology
+from ..codegen import function_table as calls
+from ..codegen.derivatives import COLUMN, DerivativeTrace, FLOW, RATE
+from ..codegen.machine_code import LANES, machine_code, PACKED
+from ..codegen.routines import topology
 from ..engine import native
 
 

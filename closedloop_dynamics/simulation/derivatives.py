@@ -9,14 +9,14 @@ from typing import NamedTuple
 import numpy as np
 
 from .derivative_code import DerivativeCode
-from .errors import SimulationError, SingularityError
-from .named_array import by_shapes
 from .parameters import parameter_arrays
 from .readings import readings_of
 from .step_derivatives import StepDerivatives
 from .traced_scene import require_derivatives, structure, TracedScene
-from ..core.codegen.function_table import LANES
+from ..codegen.function_table import LANES
 from ..engine import native
+from ..mechanism.errors import SimulationError, SingularityError
+from ..mechanism.named_array import by_shapes
 
 
 class Derivatives(NamedTuple):
@@ -114,7 +114,7 @@ class Differentiator:
     Forces over time are those of the simulation's present time; the numbers of their profiles are
     no parameters. The residuals of motion and closure are differentiated, and solved by the
     factors of the articulated inertias and of the constraint matrix
-    (``core.codegen.derivatives``). Coordinates
+    (``codegen.derivatives``). Coordinates
     of the tree are changed one by one, with the loops open and equations of closure as they are
     then: by directions that keep the loops closed these are the derivatives of the motion. Terms
     of Baumgarte's method are left out. By parameters, what of the scene the arrays of masses and

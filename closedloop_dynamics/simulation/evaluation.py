@@ -8,8 +8,8 @@ from typing import Any, Sequence, Tuple
 
 import numpy as np
 
-from .named_array import frozen, NamedArray, sealed
-from .state import State
+from ..kinematics.state import State
+from ..mechanism.named_array import frozen, NamedArray, sealed
 
 
 @dataclass(frozen=True, eq=False, repr=False)

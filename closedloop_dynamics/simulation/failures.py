@@ -5,12 +5,12 @@
 
 import numpy as np
 
-from .errors import ClosureError, NumericalError
 from .guards import MOST_EXCHANGES
-from ..core import types as t
+from ..engine import types as t
 from ..integration.control import (
     CONTACT_PASSED, MOST_EVALUATIONS, NO_PROGRESS, NOT_FINITE, OPEN_LOOP, POOR_EQUATIONS,
     RANK_REVEALING_WORK, TOO_MUCH_WORK)
+from ..mechanism.errors import ClosureError, NumericalError
 
 # Of the closure error at which loops count as open: from here on they may contradict one another.
 CONTRADICTION = 0.1

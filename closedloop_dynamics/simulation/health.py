@@ -9,12 +9,12 @@ from typing import Sequence, Union
 
 import numpy as np
 
-from .loop_model import largest_of_group
-from ..core.equations import Equations
-from ..core.types import (
-    CLOSURE, CUT_ROW, DOF, EVALUATIONS, Handle, Model, PARENT, PRISMATIC,
-    PROJECTION_ITERATIONS, RANK, RANK_REVEALING_COUNT, ROW, ROWS, SINGULAR_COUNT,
-    SMALLEST_PIVOT, SMALLEST_PIVOT_EVER, TYPE)
+from ..codegen.equations import Equations
+from ..engine.types import (
+    CLOSURE, CUT_ROW, DOF, EVALUATIONS, Handle, Model, PARENT, PRISMATIC, PROJECTION_ITERATIONS,
+    RANK, RANK_REVEALING_COUNT, ROW, ROWS, SINGULAR_COUNT, SMALLEST_PIVOT, SMALLEST_PIVOT_EVER,
+    TYPE)
+from ..kinematics.loop_model import largest_of_group
 
 # Smallest pivots below this (about 2 degrees from a singular configuration) are worth a
 # warning: forces grow with the inverse distance, errors of the input with them.
@@ -38,7 +38,7 @@ class Health:
         Of the block elimination, relative to the largest diagonal entry of its cut point: about
         the squared sine of the angle between one closure equation and the others. 1: as
         independent as can be; 0: dependent. Below 1e-3 without masses, so that light links
-        play no part. Where arms are eliminated before multipliers (``core/codegen/arms.py``),
+        play no part. Where arms are eliminated before multipliers (``codegen/arms.py``),
         the least squared sine between the columns of an arm, above 0.01.
     smallest_pivot_ever : float
         Since the last reset.
@@ -149,9 +149,9 @@ def drive_sine(
 
     Parameters
     ----------
-    model : core.types.Model
+    model : engine.types.Model
         Of the mechanism.
-    equations : core.equations.Equations
+    equations : codegen.equations.Equations
         Of the mechanism.
     jac : ndarray, shape (nc, nv)
         Constraint Jacobian of all equations, one or more.

@@ -5,10 +5,9 @@
 
 import numpy as np
 
-from .errors import SimulationError
-from ..core import types as t
-from ..core.codegen import space
-from ..engine import native
+from ..codegen import space
+from ..engine import native, types as t
+from ..mechanism.errors import SimulationError
 
 # Singular values below this share of the largest are rounding; so are parts of a unit below that.
 REPEATS, CLEAR = 1e-12, 1e-9

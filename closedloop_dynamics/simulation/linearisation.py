@@ -11,13 +11,13 @@ from typing import Optional, Tuple
 import numpy as np
 
 from .derivatives import Differentiator
-from .errors import AssemblyError, SimulationError
 from .independent import changes_along, choose_independent, dependent_on, places_of
-from .named_array import reals
 from .readings import readings_of
 from .step_derivatives import turned
 from ..mechanism.coordinates import QUANTITIES
+from ..mechanism.errors import AssemblyError, SimulationError
 from ..mechanism.extras import of_an_extra
+from ..mechanism.named_array import reals
 
 # What outputs may be.
 OUTPUTS = tuple(QUANTITIES)[:3]

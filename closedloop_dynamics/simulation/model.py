@@ -15,23 +15,23 @@ import warnings
 import numpy as np
 from numpy.typing import ArrayLike
 
-from .assemblies import Assemblies, find_assemblies
 from .data import Numbers, vector
-from .driven import BranchEndError, driven_mechanism, DrivenKinematics
-from .errors import AssemblyError, SimulationError
 from .evaluation import Evaluation
-from .geometry import Geometry
-from .key_paths import changed, resolve
-from .named_array import frozen, reals
 from .readings import Readings
 from .reduced import Reduced
-from .scene import load_scene
-from .scene_records import Scene
-from .state import State
-from ..core.equations import BY_ITSELF
+from ..codegen.equations import BY_ITSELF
 from ..engine import native
 from ..integration.evaluation import Evaluator
+from ..kinematics.assemblies import Assemblies, find_assemblies
+from ..kinematics.driven import BranchEndError, driven_mechanism, DrivenKinematics
+from ..kinematics.geometry import Geometry
+from ..kinematics.state import State
+from ..mechanism.errors import AssemblyError, SimulationError
 from ..mechanism.fields import at, FieldError
+from ..mechanism.named_array import frozen, reals
+from ..scene.key_paths import changed, resolve
+from ..scene.loading import load_scene
+from ..scene.records import Scene
 
 if TYPE_CHECKING:
     from .linearisation import Linearisation, LinearModel

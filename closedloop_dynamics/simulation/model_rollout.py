@@ -11,9 +11,9 @@ from numpy.typing import ArrayLike
 from .model import begins, Model
 from .rollout import Rollout
 from .rollout_run import STATE
-from .scene_records import Method
 from .simulation import Simulation
-from .state import State
+from ..kinematics.state import State
+from ..scene.records import Method
 
 # The latest simulation of each model that rollouts are made with.
 _SIMULATIONS: 'WeakKeyDictionary[Model, Simulation]' = WeakKeyDictionary()

@@ -8,7 +8,7 @@ import math
 
 import numpy as np
 
-from ..core.types import EVALUATIONS, RANK_REVEALING_COUNT
+from ..engine.types import EVALUATIONS, RANK_REVEALING_COUNT
 from ..integration.control import CLOSER, FLOOR
 from ..integration.registry import AUTO, FIXED, INTEGRATORS
 

@@ -9,14 +9,14 @@ from typing import NamedTuple
 import numpy as np
 
 from .data import Data
-from .errors import AssemblyError
-from .key_paths import changed, numbers, resolve
-from .modeling import extent
-from ..core.codegen import function_table as calls
-from ..core.codegen.scene_routines import POINT
-from ..core.codegen.space import is_spatial, PARALLEL
+from ..codegen import function_table as calls
+from ..codegen.scene_routines import POINT
+from ..codegen.space import is_spatial, PARALLEL
+from ..kinematics.modeling import extent
+from ..mechanism.errors import AssemblyError
 from ..mechanism.fields import FieldError
 from ..mechanism.mechanism import MechanismError
+from ..scene.key_paths import changed, numbers, resolve
 
 # Derivatives and values at zero by numbers on both sides, both of sixth order: exact for
 # polynomials, as arrays are of nearly all numbers.

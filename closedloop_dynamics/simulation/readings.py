@@ -9,21 +9,21 @@ from typing import Any, Dict, List, Optional, Sequence, Tuple
 
 import numpy as np
 
-from .assembly import angle_notes, degree_notes, MOST_EQUATIONS
 from .cut_joints import coupling_moments
 from .data import Data
-from .errors import SimulationError
 from .evaluation import Evaluation
 from .health import Health, health_of
-from .named_array import NamedArray, Place
-from .redundancy import find_redundancy, Redundancy
-from .scene_records import Scene
-from .state import State
-from ..core.equations import Equations
-from ..core.types import CUT_NUMBER
+from ..codegen.equations import Equations
 from ..engine import native
+from ..engine.types import CUT_NUMBER
+from ..kinematics.assembly import angle_notes, degree_notes, MOST_EQUATIONS
+from ..kinematics.redundancy import find_redundancy, Redundancy
+from ..kinematics.state import State
 from ..mechanism.couplings import coupling_scales, measured
 from ..mechanism.digits import suspicions
+from ..mechanism.errors import SimulationError
+from ..mechanism.named_array import NamedArray, Place
+from ..scene.records import Scene
 
 # Gravity's acceleration, to compare forces with weights [m/s^2].
 EARTH = 9.81

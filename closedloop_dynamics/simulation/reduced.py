@@ -8,10 +8,10 @@ from typing import Any, Callable, Dict, List, NamedTuple, Optional, Tuple, TYPE_
 import numpy as np
 from numpy.typing import ArrayLike
 
-from .errors import SimulationError, SingularityError
-from .named_array import by_shapes, reals, sealed
-from .state import State
+from ..kinematics.state import State
+from ..mechanism.errors import SimulationError, SingularityError
 from ..mechanism.kinematics import motion_of
+from ..mechanism.named_array import by_shapes, reals, sealed
 
 if TYPE_CHECKING:
     from .model import Model

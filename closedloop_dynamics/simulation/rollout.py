@@ -12,15 +12,15 @@ from weakref import WeakKeyDictionary
 
 import numpy as np
 
-from .errors import SimulationError
-from .key_paths import changed, resolve
-from .named_array import by_shapes, NamedArray, reals
 from .rollout_run import (
     checked_quantities, FEWEST, finding_of, fits_simd, InitialState, MOST, nothing, record,
     record_all, SimdRuns, starts_as_given, STATE, TimeGrid)
-from .scene_records import require_no_budget
 from ..integration.control import DONE
 from ..integration.stop_flag import StopFlag
+from ..mechanism.errors import SimulationError
+from ..mechanism.named_array import by_shapes, NamedArray, reals
+from ..scene.key_paths import changed, resolve
+from ..scene.records import require_no_budget
 
 # Runs, or vectors of them, that are made in one call, at most.
 MOST_AT_ONCE = 64

@@ -10,27 +10,25 @@ from typing import Any, Dict, List, Mapping, NamedTuple, Optional, Sequence, Tup
 import numpy as np
 from numpy.typing import ArrayLike
 
-from .errors import ClosureError, NumericalError, SimulationError, SingularityError
-from .independent import (
-    changes_along, choose_independent, dependent_on, following, places_of)
+from .independent import changes_along, choose_independent, dependent_on, following, places_of
 from .model import begins, Model
-from .named_array import by_shapes, frozen, reals, sealed
 from .parameters import parameter_arrays
 from .rollout import RolloutArguments, scheduled
 from .rollout_run import all_torques, TimeGrid
-from .scene_records import Method, require_no_budget
 from .simulation import Simulation
-from .state import State
 from .step_derivatives import StepDerivatives, turned
 from .traced_scene import require_derivatives
-from ..core.codegen.sensitivities import FORWARD, REVERSE
+from ..codegen.sensitivities import FORWARD, REVERSE
 from ..integration.control import (
     DONE, INTERRUPTED, NOT_FINITE, OPEN_LOOP, POOR_EQUATIONS, SINGULAR)
 from ..integration.registry import (
     BAUMGARTE, EXPLICIT, FIXED, INDEPENDENT, INTEGRATORS, STABILISATIONS)
-from ..integration.stepped_run import (
-    allocate_scratch, allocate_tape, RunInputs, SteppedRun)
+from ..integration.stepped_run import allocate_scratch, allocate_tape, RunInputs, SteppedRun
+from ..kinematics.state import State
+from ..mechanism.errors import ClosureError, NumericalError, SimulationError, SingularityError
 from ..mechanism.fields import among, FieldError
+from ..mechanism.named_array import by_shapes, frozen, reals, sealed
+from ..scene.records import Method, require_no_budget
 
 _METHODS = tuple(name for name, each in INTEGRATORS.items()
                  if each.kind == FIXED and each.family == EXPLICIT)
@@ -132,7 +130,7 @@ class Sensitivity:
     adjoint), weights do: w = (c_y s_x)^T w' + the derivative of the cost by x, and the gradient is
     the sum of (c_y s_tau)^T w' and the like; one pass, however many torques and parameters there
     are. Accelerations and corrections are solutions of linear equations with the factors of an
-    evaluation, and are differentiated by these (``core.codegen.sensitivities``). How often the
+    evaluation, and are differentiated by these (``codegen.sensitivities``). How often the
     positions are corrected after a step stays as it was.
 
     Examples

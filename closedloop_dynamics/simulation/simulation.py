@@ -16,18 +16,18 @@ from .evaluation import Evaluation
 from .health import Health
 from .model import Model
 from .monitor import RunReport
-from .motions import moving
-from .named_array import NamedArray
 from .readings import Readings
 from .rollout import Rollout, rollout
-from .scene import load_scene
-from .scene_records import Method, Scene
-from .state import State
 from .stepping import Stepping
 from ..effects.effect import Effect
 from ..effects.energy_balance import Energies
 from ..integration.evaluation import Evaluator
+from ..kinematics.motions import moving
+from ..kinematics.state import State
 from ..mechanism.mechanism import Mechanism
+from ..mechanism.named_array import NamedArray
+from ..scene.loading import load_scene
+from ..scene.records import Method, Scene
 
 # Names of the run; the others that are passed on are those of the readings.
 _OF_RUN = ('accuracy', 'judge', 'step_size')

@@ -7,17 +7,17 @@ from functools import cache
 
 import numpy as np
 
-from .errors import SingularityError
 from .traced_scene import TracedScene
-from ..core.codegen import function_table as calls
-from ..core.codegen.machine_code import LANES, machine_code, PACKED, SCALAR
-from ..core.codegen.routines import topology
-from ..core.codegen.scene_routines import POINT
-from ..core.codegen.sensitivities import (
+from ..codegen import function_table as calls
+from ..codegen.machine_code import LANES, machine_code, PACKED, SCALAR
+from ..codegen.routines import topology
+from ..codegen.scene_routines import POINT
+from ..codegen.sensitivities import (
     ACCELERATION_FORWARD, CLOSURE, CLOSURE_FORWARD, FORWARD, LANE_COLUMNS, NAMES, RESULT, SEED,
     SensitivityTrace, TABLE_COLUMNS, WRENCH, WRENCH_FORWARD)
 from ..engine import native
 from ..integration.stepped_run import LaneRoutines, StepRoutines
+from ..mechanism.errors import SingularityError
 
 
 class StepDerivatives:
@@ -46,7 +46,7 @@ class StepDerivatives:
 
     def need(self, group):
         """
-        Have some routines compiled, a group of ``core.codegen.sensitivities``.
+        Have some routines compiled, a group of ``codegen.sensitivities``.
 
         ``FORWARD``, ``REVERSE``, ``CLOSURE`` or ``WRENCH``.
         """

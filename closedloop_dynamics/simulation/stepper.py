@@ -9,24 +9,24 @@ from typing import Any, Dict, Mapping, NamedTuple, Optional, Sequence, Tuple, Un
 import numpy as np
 from numpy.typing import ArrayLike
 
-from .errors import AssemblyError, ClosureError, NumericalError, SingularityError
 from .independent import choose_independent, dependent_on, places_of
 from .model import Model
-from .named_array import reals
 from .parameters import parameter_arrays
-from .scene_records import Method
 from .sensitivity import require_differentiable
 from .simulation import Simulation
-from .state import State
 from .step_derivatives import StepDerivatives
 from .traced_scene import require_derivatives
-from ..core.codegen.sensitivities import CLOSURE, FORWARD, REVERSE
+from ..codegen.sensitivities import CLOSURE, FORWARD, REVERSE
 from ..engine import native
 from ..integration.control import (
     DONE, INTERRUPTED, NOT_FINITE, OPEN_LOOP, POOR_EQUATIONS, SINGULAR)
 from ..integration.registry import INTEGRATORS, STABILISATIONS
 from ..integration.stepped_run import (
     allocate_chart, allocate_scratch, allocate_steps, allocate_tape, RunInputs, SteppedRun)
+from ..kinematics.state import State
+from ..mechanism.errors import AssemblyError, ClosureError, NumericalError, SingularityError
+from ..mechanism.named_array import reals
+from ..scene.records import Method
 
 # Steps of a period at most this share longer than the method's step size are rounding.
 ROUNDING = 1e-9

@@ -12,34 +12,33 @@ import warnings
 import numpy as np
 from numpy.typing import ArrayLike
 
-from . import change_points
 from .budget import Budget, INTERVAL
 from .cable_guard import explain, leapt
 from .data import Numbers, vector
 from .derivative_code import DerivativeCode
-from .errors import (
-    AssemblyError, ClosureError, InaccuracyWarning, MotionError, NumericalError, SimulationError,
-    StiffnessError)
 from .failures import failure
 from .guards import (
     EnergyGuard, guard_limits, LARGEST_MOTION, opened_loops, StiffnessGuard, USUAL_TORQUE)
-from .modeling import extent
 from .monitor import Monitor, RunReport
-from .named_array import reals
 from .readings import Readings
-from .scene_records import Method
-from .state import State
 from .traced_scene import refusals
-from ..core import types as t
 from ..effects.delay_line import DelayLine
+from ..engine import types as t
 from ..integration.control import (
     CONTACT_PASSED, DONE, INTERRUPTED, NOT_FINITE, OPEN_LOOP, POOR_EQUATIONS, TOO_MUCH_WORK)
 from ..integration.registry import INTEGRATORS, ROSENBROCK
 from ..integration.run import (
-    CABLE_LEAPT, CHOICE, COMMAND, ENERGY_LOST, FAILED, INACCURATE, Run, GuardLimits)
-from ..integration.system import (
-    AccelerationDerivatives, System, with_equations, with_partition)
+    CABLE_LEAPT, CHOICE, COMMAND, ENERGY_LOST, FAILED, GuardLimits, INACCURATE, Run)
+from ..integration.system import AccelerationDerivatives, System, with_equations, with_partition
+from ..kinematics import change_points
+from ..kinematics.modeling import extent
+from ..kinematics.state import State
+from ..mechanism.errors import (
+    AssemblyError, ClosureError, InaccuracyWarning, MotionError, NumericalError, SimulationError,
+    StiffnessError)
 from ..mechanism.fields import at, FieldError
+from ..mechanism.named_array import reals
+from ..scene.records import Method
 
 # Other equations replace those in use where they are further from dependent by the first factor;
 # by the second one where code is for those in use alone, as loops over bodies take longer.

@@ -5,11 +5,11 @@
 
 import numpy as np
 
-from .errors import SimulationError
-from ..core.codegen import function_table as calls
-from ..core.codegen.function_table import VALUE_COLUMNS
+from ..codegen import function_table as calls
+from ..codegen.function_table import VALUE_COLUMNS
 from ..effects.force_law import PROFILE
 from ..effects.traced_laws import act, refused
+from ..mechanism.errors import SimulationError
 
 
 def refusals(data, instant=False, along=False, driven=False):
@@ -74,7 +74,7 @@ class TracedScene:
                 present[row] = data.effect_readings(name)['force']
 
     def act(self, forces):
-        """Apply the effects to a ``core.codegen.scene_routines.Forces``."""
+        """Apply the effects to a ``codegen.scene_routines.Forces``."""
         act(self._effects, forces)
 
     def table(self, arrays, columns):

@@ -9,9 +9,9 @@ import statistics
 import time
 
 from .reference import compute_reference, difference, record, Reference
-from ..core.types import EVALUATIONS
+from ..engine.types import EVALUATIONS
 from ..integration.registry import ADAPTIVE, AUTO, INTEGRATORS, STABILISATIONS
-from ..simulation.errors import SimulationError
+from ..mechanism.errors import SimulationError
 from ..simulation.simulation import Simulation
 
 DEFAULT_INTEGRATOR, DEFAULT_STABILISATION = 'rk4', 'projection'

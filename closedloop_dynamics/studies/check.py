@@ -9,19 +9,19 @@ from textwrap import indent
 from ..effects.registry import effect_type
 from ..formats.building import lines
 from ..integration.registry import ADAPTIVE, AUTO, BAUMGARTE, INTEGRATORS, STABILISATIONS
+from ..kinematics.assembly import Assembler, MOST_EQUATIONS
+from ..kinematics.geometry import Geometry
+from ..kinematics.global_assembly import ClosureProblem, find_closed
+from ..kinematics.modeling import extent
+from ..kinematics.redundancy import find_redundancy
+from ..kinematics.second_order import count_forbidden, find_degrees_of_freedom
 from ..mechanism.decomposition import decompose
 from ..mechanism.digits import digit_notes
 from ..mechanism.fields import FieldError
 from ..mechanism.mechanism import CUT_JOINT_EQUATIONS, Mechanism, MechanismError
 from ..mechanism.reader import with_cuts
-from ..simulation.assembly import Assembler, MOST_EQUATIONS
-from ..simulation.geometry import Geometry
-from ..simulation.global_assembly import ClosureProblem, find_closed
-from ..simulation.model_scene import assembled
-from ..simulation.modeling import extent
-from ..simulation.redundancy import find_redundancy
-from ..simulation.second_order import count_forbidden, find_degrees_of_freedom
-from ..simulation.tree_choice import count_operations
+from ..scene.model_scene import assembled
+from ..scene.tree_choice import count_operations
 from ..visual.tables import text_table
 
 # Numbers of a table or curve that are written one by one.

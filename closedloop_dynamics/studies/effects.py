@@ -20,9 +20,9 @@ from typing import Dict, Optional, Tuple
 import numpy as np
 
 from .reference import in_angles
-from ..core.types import EVALUATIONS
 from ..effects.registry import effect_type
-from ..simulation.errors import SimulationError
+from ..engine.types import EVALUATIONS
+from ..mechanism.errors import SimulationError
 from ..simulation.simulation import Simulation
 
 # How fast an error of the rate is to decay [1/s].

@@ -20,8 +20,8 @@ from typing import Dict, NamedTuple, Tuple
 import numpy as np
 
 from .identification import DEPENDENT, IdentificationError, Identifier, measured_joints
+from ..mechanism.errors import SimulationError
 from ..simulation.data import Data
-from ..simulation.errors import SimulationError
 
 # Instants at which a motion is looked at, and motions at random to begin with.
 INSTANTS, RANDOM = 40, 12

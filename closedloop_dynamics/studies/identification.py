@@ -27,23 +27,22 @@ from typing import Dict, NamedTuple, Optional, Tuple
 
 import numpy as np
 
-from .inertial_parameters import (
-    BodyParameters, numbers_of, pseudo_inertia, unit_rows)
-from ..core import types as t
-from ..core.codegen import space
-from ..core.ranks import rank_from
+from .inertial_parameters import BodyParameters, numbers_of, pseudo_inertia, unit_rows
+from ..codegen import space
 from ..effects.element import OWN
 from ..effects.force_law import FRICTION
 from ..effects.registry import effect_type
+from ..engine import types as t
+from ..engine.ranks import rank_from
+from ..kinematics.geometry import Geometry
+from ..kinematics.modeling import extent
+from ..kinematics.passive_joint_solver import PassiveJointError, PassiveJointSolver
 from ..mechanism.differences import FIRST_4, FORWARD_4, nodes
+from ..mechanism.errors import SimulationError
 from ..mechanism.fields import among, FieldError
 from ..mechanism.mechanism import MechanismError
+from ..scene.key_paths import changed, numbers, resolve
 from ..simulation.data import Data
-from ..simulation.errors import SimulationError
-from ..simulation.geometry import Geometry
-from ..simulation.key_paths import changed, numbers, resolve
-from ..simulation.modeling import extent
-from ..simulation.passive_joint_solver import PassiveJointError, PassiveJointSolver
 
 # Columns, scaled to length one, are dependent below DEPENDENT; shares of others below NOTHING are
 # rounding; parameters whose torques are below UNSEEN of those of the largest have no influence.

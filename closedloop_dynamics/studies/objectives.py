@@ -23,7 +23,7 @@ from .slopes import (
     deviation, distance_parts, ON_SLOPES, Slope, squared_parts, TAKES)
 from ..mechanism.expressions import CONSTANTS, parsed, value_of, without_units
 from ..mechanism.fields import among, at, FieldError, nearest, shown
-from ..simulation.key_paths import numbers
+from ..scene.key_paths import numbers
 
 EXPECTED = 'an expression of quantities of the driven machine'
 _DISTANCE = re.compile(r'(distance\(\s*[A-Za-z]\w*\s*,)\s*([^,()]+?)\s*\)')

@@ -27,14 +27,14 @@ import numpy as np
 
 from .objectives import Bound, Expression, read_all, Requirement, TOLERANCE
 from .quantities import Driven, Infeasible, Quantities, Variable, with_values
+from ..mechanism.errors import SimulationError
 from ..mechanism.fields import FieldError, shown
 from ..recording import design
 from ..recording.kinematics import Drive, DrivenRun, start_position
-from ..simulation.errors import SimulationError
-from ..simulation.key_paths import numbers, resolve
-from ..simulation.scene import load_scene
-from ..simulation.scene_records import Scene
-from ..simulation.scene_text import scene_text
+from ..scene.key_paths import numbers, resolve
+from ..scene.loading import load_scene
+from ..scene.records import Scene
+from ..scene.text import scene_text
 from ..sweep.executors import dispatched, engine_for
 from ..sweep.runner import without_numbers
 

@@ -20,7 +20,7 @@ from typing import Callable, Mapping, Optional, Tuple
 import numpy as np
 
 from ..mechanism.config import config_directory
-from ..simulation.scene import load_scene
+from ..scene.loading import load_scene
 from ..simulation.simulation import Simulation
 
 ACCURACIES = (1e-4, 1e-6, 1e-8)

@@ -19,14 +19,14 @@ import numpy as np
 
 from .slopes import Magnitude, ON_SLOPES, Path, Slope
 from ..mechanism.differences import derivative, FIRST_6, FORWARD_6, nodes
+from ..mechanism.errors import SimulationError
 from ..mechanism.fields import FieldError
 from ..mechanism.mechanism import MechanismError
 from ..recording import design
 from ..recording.kinematics import Drive, DrivenRun
 from ..recording.quantities import by_name, torques
 from ..recording.transmission import transmission_parts
-from ..simulation.errors import SimulationError
-from ..simulation.key_paths import changed, numbers, resolve
+from ..scene.key_paths import changed, numbers, resolve
 
 TRANSMISSION, SHAKING_FORCE, SHAKING_MOMENT = (
     'transmission_angle', 'shaking_force', 'shaking_moment')

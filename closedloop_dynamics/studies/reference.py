@@ -18,7 +18,7 @@ import time
 import numpy as np
 
 from ..integration.registry import ADAPTIVE, INTEGRATORS
-from ..simulation.errors import SimulationError
+from ..mechanism.errors import SimulationError
 from ..simulation.simulation import Simulation
 
 

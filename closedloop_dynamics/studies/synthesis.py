@@ -22,7 +22,7 @@ import numpy as np
 from ..effects.gravity import Gravity
 from ..mechanism.mechanism import (
     Body, CutJoint, GROUND, Joint, Mechanism, Point, PRISMATIC, REVOLUTE)
-from ..simulation.scene_records import Initial, Method, Scene
+from ..scene.records import Initial, Method, Scene
 
 FOUR_BAR, SLIDER_CRANK = 'four_bar', 'slider_crank'
 # Positions that are met exactly; the error of what is [sizes of the task].

@@ -9,11 +9,11 @@ from typing import Tuple
 import numpy as np
 
 from .plan import TORQUE
-from ..simulation.errors import SimulationError
-from ..simulation.key_paths import changed
+from ..mechanism.errors import SimulationError
+from ..scene.key_paths import changed
+from ..scene.records import Scene
 from ..simulation.rollout_run import (
     FEWEST, fits_simd, InitialState, MOST, nothing, record, RunResult, SimdRuns, STATE, TimeGrid)
-from ..simulation.scene_records import Scene
 from ..simulation.simulation import Simulation
 
 # What the summary of a sample is made of.

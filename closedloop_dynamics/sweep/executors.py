@@ -24,8 +24,8 @@ import time
 
 import numpy as np
 
+from ..mechanism.errors import SimulationError
 from ..mechanism.extras import remedy
-from ..simulation.errors import SimulationError
 
 # Period of polling the number of workers of a cluster [s].
 COUNT_WORKERS_EVERY = 5.0

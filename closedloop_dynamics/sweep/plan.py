@@ -19,9 +19,9 @@ from zlib import crc32
 import numpy as np
 
 from ..mechanism.fields import among, at, FieldError, nearest
-from ..simulation.key_paths import resolve
+from ..scene.key_paths import resolve
+from ..scene.records import Scene
 from ..simulation.rollout_run import checked_quantities, STATE, TimeGrid
-from ..simulation.scene_records import Scene
 
 RANGE = 'FROM:TO:COUNT'
 # Distribution -> names of its two numbers, and how to draw with them.

@@ -15,9 +15,9 @@ from .executors import dispatched, engine_for
 from .plan import combined, Plan, variation
 from .storage import checked_path, Layout, opened
 from ..mechanism.fields import FieldError
+from ..scene.loading import load_scene
+from ..scene.records import require_no_budget, Scene
 from ..simulation.rollout_run import STATE
-from ..simulation.scene import load_scene
-from ..simulation.scene_records import require_no_budget, Scene
 
 # Samples in a batch: so many batches, so many samples, so much memory [B] at most.
 BATCHES, LARGEST_BATCH, MOST_BATCH_BYTES = 64, 64, 64_000_000

@@ -12,7 +12,7 @@ from .body_frames import BodyFrames
 from ..mechanism.document import with_value
 from ..mechanism.fields import FieldError, shown
 from ..mechanism.mechanism import GROUND
-from ..simulation.scene_source import with_entries
+from ..scene.source import with_entries
 
 # Mass of a bar [kg/m], and numbers of others by what they are.
 BAR_MASS, STIFFNESS, DAMPING, FORCE = 1.0, 100.0, 0.1, 1.0

@@ -6,14 +6,14 @@
 from dataclasses import replace
 import re
 
+from ..kinematics.assembly import Assembler
+from ..kinematics.geometry import Geometry
+from ..kinematics.motions import with_motions
+from ..kinematics.redundancy import find_redundancy, THESE_LENGTHS
+from ..kinematics.second_order import count_forbidden
+from ..mechanism.errors import AssemblyError
 from ..mechanism.mechanism import MechanismError
-from ..simulation.assembly import Assembler
-from ..simulation.errors import AssemblyError
-from ..simulation.geometry import Geometry
-from ..simulation.motions import with_motions
-from ..simulation.redundancy import find_redundancy, THESE_LENGTHS
-from ..simulation.scene import scene_of_yaml, SceneError
-from ..simulation.second_order import count_forbidden
+from ..scene.loading import scene_of_yaml, SceneError
 
 
 def checked(text, name):

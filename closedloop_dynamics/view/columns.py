@@ -13,7 +13,6 @@ from typing import Optional
 import numpy as np
 
 from .effect_shapes import face_normal, normal_of, outline_of
-from ..core.types import SMALLEST_PIVOT
 from ..effects.body_contact import BodyContact
 from ..effects.cable import Cable
 from ..effects.contact import Contact
@@ -21,9 +20,9 @@ from ..effects.external_force import BODY, ExternalForce
 from ..effects.force_table import ForceTable
 from ..effects.point_spring import PointSpring
 from ..effects.prescribed_force import PrescribedForce
+from ..engine.types import SMALLEST_PIVOT
 from ..mechanism.coordinates import QUANTITIES
-from ..mechanism.kinematics import (
-    body_poses, body_velocities, named_paths, POSE, poses_in_space)
+from ..mechanism.kinematics import body_poses, body_velocities, named_paths, POSE, poses_in_space
 from ..mechanism.mechanism import GROUND, Mechanism
 from ..mechanism.rotations import in_three, of_quaternion, turned
 from ..simulation.health import WARN_BELOW

@@ -8,11 +8,11 @@ import math
 
 import numpy as np
 
+from ..kinematics.driven import DrivenKinematics
+from ..kinematics.modeling import extent
+from ..mechanism.errors import SimulationError
 from ..mechanism.kinematics import body_poses, named_point
 from ..mechanism.mechanism import DrivingConstraint
-from ..simulation.driven import DrivenKinematics
-from ..simulation.errors import SimulationError
-from ..simulation.modeling import extent
 
 # Poses in a turn, points with curves at most, digits of places [m].
 POSES, MOST_CURVES, DIGITS = 240, 8, 7

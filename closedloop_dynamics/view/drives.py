@@ -8,8 +8,8 @@ import math
 from .messages import EXPRESSION, OWN, POSITION, SPEED, TORQUE
 from ..effects.prescribed_motion import PrescribedMotion
 from ..mechanism.checks import number, text
+from ..mechanism.errors import NumericalError
 from ..mechanism.fields import at
-from ..simulation.errors import NumericalError
 
 # A drive moves its joint towards its reference like a critically damped spring of this rate [1/s].
 DRIVE_RATE = 50.0

@@ -23,10 +23,10 @@ from ..mechanism.checks import number
 from ..mechanism.document import with_scalars
 from ..mechanism.fields import at, FieldError, shown
 from ..mechanism.mechanism import DISTANCE, GROUND
-from ..simulation.key_paths import changed, numbers, resolve
-from ..simulation.scene import scene_of_yaml
-from ..simulation.scene_source import source_of, with_numbers
-from ..simulation.scene_text import scene_yaml
+from ..scene.key_paths import changed, numbers, resolve
+from ..scene.loading import scene_of_yaml
+from ..scene.source import source_of, with_numbers
+from ..scene.text import scene_yaml
 
 # Changes of the same number within so long are undone at once [s]; how many steps are kept.
 GESTURE, MOST_STEPS = 1.0, 200

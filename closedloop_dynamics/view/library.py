@@ -19,7 +19,7 @@ from ..mechanism.document import Document
 from ..mechanism.fields import FieldError, shown
 from ..mechanism.kinematics import body_poses, pose_of, world_points
 from ..mechanism.mechanism import GROUND, MechanismError
-from ..simulation.scene import load_scene, scene_names, scene_of_yaml, SceneError
+from ..scene.loading import load_scene, scene_names, scene_of_yaml, SceneError
 from ..visual.appearance import body_colors, CONTACT_COLOR, marked_points, solid
 from ..visual.transmissions import outlines as wheel_outlines, transmissions
 from ..visual.wheels import on_wheel

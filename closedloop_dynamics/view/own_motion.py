@@ -11,7 +11,7 @@ from ..mechanism.checks import number, one_of, text
 from ..mechanism.config import config_directory, shipped_path
 from ..mechanism.document import Document
 from ..mechanism.fields import at, FieldError, mapping
-from ..simulation.scene import SceneError
+from ..scene.loading import SceneError
 
 MODES = TORQUE, POSITION, SPEED, EXPRESSION
 

@@ -11,8 +11,8 @@ from .background import Background
 from .editing import Editor
 from .hand import Hand
 from .messages import METHOD_KEYS
-from ..simulation.errors import SimulationError
-from ..simulation.modeling import extent
+from ..kinematics.modeling import extent
+from ..mechanism.errors import SimulationError
 from ..simulation.simulation import Simulation
 
 

@@ -28,9 +28,9 @@ from .shown import Shown
 from .stepping import LONGEST_WAIT, Stepper
 from .watchdog import Watchdog
 from ..control.errors import StartError
+from ..mechanism.errors import InaccuracyWarning, SimulationError
 from ..mechanism.fields import FieldError, shown
 from ..recording.kinematics import assemblies, held
-from ..simulation.errors import InaccuracyWarning, SimulationError
 
 # Frames per second; time between two looks at what takes long [s].
 RATE, POLL_PERIOD = 60.0, 0.25

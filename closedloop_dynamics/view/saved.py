@@ -9,8 +9,8 @@ import numpy as np
 
 from .columns import motion_columns, motion_rows, motion_thinning_values, SimulationRows
 from .thinning import Thinning
+from ..kinematics.modeling import extent
 from ..recording.run import Report, run
-from ..simulation.modeling import extent
 
 # Of a recording, rows that are made at once; tolerances one after the other, where there are too
 # many rows.

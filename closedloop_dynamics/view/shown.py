@@ -6,8 +6,8 @@
 from .messages import drive_of, require_kinematic
 from .posing import joint_to, point_to
 from .thinning import Thinning
+from ..mechanism.errors import SimulationError
 from ..mechanism.fields import FieldError, shown
-from ..simulation.errors import SimulationError
 
 # Of messages that come faster than frames, the newest counts.
 NEWEST = 'pull', 'pose', 'command', 'move', 'set'

@@ -12,20 +12,20 @@ import numpy as np
 
 from .columns import Columns, joint_plots, Plot
 from .description import describe, described_drive, EARTH
-from .driving import DRIVE_PERIOD, Driving
 from .drives import DRIVE_RATE
+from .driving import DRIVE_PERIOD, Driving
 from .editing import Editor, LENGTH
 from .hand import DAMPING, GIVE
 from .messages import describe_effects, OWN
 from .page import packed
 from ..effects.gravity import Gravity
 from ..effects.prescribed_motion import PrescribedMotion
+from ..export.wasm_source import choices_of, clocks_of, wasm_module
 from ..integration.tableau import DOP853
-from ..simulation.errors import SimulationError
-from ..simulation.key_paths import changed, resolve
-from ..simulation.modeling import extent, mechanism_arrays
+from ..kinematics.modeling import extent, mechanism_arrays
+from ..mechanism.errors import SimulationError
+from ..scene.key_paths import changed, resolve
 from ..simulation.simulation import Simulation
-from ..simulation.wasm_source import choices_of, clocks_of, wasm_module
 
 # Largest error of a step, as a share of one and the size of a number.
 TOLERANCE = 1e-12

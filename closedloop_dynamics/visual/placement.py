@@ -12,9 +12,9 @@ angles in those of loops: from half a turn away these would close the wrong way 
 
 import numpy as np
 
+from ..kinematics.geometry import Geometry
 from ..mechanism.kinematics import body_poses, body_velocities, poses_in_space
 from ..mechanism.rotations import composed, CONJUGATE, rotation_vector
-from ..simulation.geometry import Geometry
 
 # An error that is left is one of the request, not of rounding, above this [m, rad; of velocities
 # relative to the largest one].

@@ -25,11 +25,10 @@ from ..formats.in_space import cuts_in_space
 from ..formats.model import MOMENTS
 from ..formats.urdf_loops import add_loops, CONSTRAINT, FORMS
 from ..formats.writing import numbers, written
+from ..kinematics.modeling import extent
 from ..mechanism.coordinates import WITH_ORIENTATION
-from ..mechanism.mechanism import (
-    CYLINDRICAL, FIXED, GROUND, HELICAL, PLANAR, PRISMATIC, UNIVERSAL)
+from ..mechanism.mechanism import CYLINDRICAL, FIXED, GROUND, HELICAL, PLANAR, PRISMATIC, UNIVERSAL
 from ..mechanism.rotations import angles_of, of_quaternion
-from ..simulation.modeling import extent
 
 WORLD = 'world'
 # Of links and pins, as shares of the mechanism's size.

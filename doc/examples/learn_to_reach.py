@@ -16,7 +16,7 @@ sub-environment of its own, and steps along the differences of their returns.
 import sys
 
 from closedloop_dynamics import Model
-from closedloop_dynamics.simulation.environment import MechanismVectorEnv
+from closedloop_dynamics.export.environment import MechanismVectorEnv
 import numpy as np
 
 ASIDE = (0.03, 0.02)    # Of the goal, from where the platform's centre starts [m]

@@ -19,7 +19,7 @@ from tempfile import TemporaryDirectory
 
 import casadi
 from closedloop_dynamics import Model, Simulation
-from closedloop_dynamics.simulation.c_source import c_source
+from closedloop_dynamics.export.c_source import c_source
 import numpy as np
 
 PERIOD, HORIZON = 0.02, 15      # Of control [s]; how many periods are looked ahead

@@ -11,11 +11,10 @@ import resource
 import subprocess
 import sys
 
-from closedloop_dynamics.core import cache
-from closedloop_dynamics.core.codegen import machine_code as in_memory
-from closedloop_dynamics.core.codegen.expression_graph import (
-    ExpressionGraph, LOAD, Q, QD, Routine)
-from closedloop_dynamics.core.codegen.machine_code import machine_code, SCALAR
+from closedloop_dynamics.codegen import cache
+from closedloop_dynamics.codegen import machine_code as in_memory
+from closedloop_dynamics.codegen.expression_graph import ExpressionGraph, LOAD, Q, QD, Routine
+from closedloop_dynamics.codegen.machine_code import machine_code, SCALAR
 import pytest
 
 ROOT = Path(__file__).resolve().parents[2]

@@ -6,9 +6,9 @@
 from collections import Counter
 from dataclasses import replace
 
-from closedloop_dynamics.core.types import RANK_REVEALING_COUNT
+from closedloop_dynamics.engine.types import RANK_REVEALING_COUNT
 from closedloop_dynamics.integration.system import build_system
-from closedloop_dynamics.simulation.modeling import build_model
+from closedloop_dynamics.kinematics.modeling import build_model
 import numpy as np
 import pytest
 

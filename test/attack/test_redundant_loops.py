@@ -13,7 +13,7 @@ from collections import Counter
 import warnings
 
 from closedloop_dynamics.integration import system
-from closedloop_dynamics.simulation.errors import SimulationError
+from closedloop_dynamics.mechanism.errors import SimulationError
 import numpy as np
 import pytest
 

@@ -14,10 +14,10 @@ from pathlib import Path
 import warnings
 
 from closedloop_dynamics.integration import system
+from closedloop_dynamics.mechanism.errors import SimulationError
 from closedloop_dynamics.mechanism.mechanism import MechanismError
 from closedloop_dynamics.mechanism.reader import mechanism_of
-from closedloop_dynamics.simulation.errors import SimulationError
-from closedloop_dynamics.simulation.tree_choice import cheapest
+from closedloop_dynamics.scene.tree_choice import cheapest
 import numpy as np
 import pytest
 

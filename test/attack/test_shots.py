@@ -12,8 +12,8 @@ import collections
 import warnings
 
 from closedloop_dynamics.effects.body_contact import BodyContact
-from closedloop_dynamics.simulation.errors import NumericalError, SimulationError
-from closedloop_dynamics.simulation.scene_records import Method
+from closedloop_dynamics.mechanism.errors import NumericalError, SimulationError
+from closedloop_dynamics.scene.records import Method
 import numpy as np
 import pytest
 

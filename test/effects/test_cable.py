@@ -6,13 +6,13 @@
 from dataclasses import replace
 import math
 
-from closedloop_dynamics.core.codegen.spatial import rotation
+from closedloop_dynamics.codegen.spatial import rotation
 from closedloop_dynamics.effects.cable import Cable
 from closedloop_dynamics.effects.gravity import Gravity
 from closedloop_dynamics.mechanism.checks import orientation
+from closedloop_dynamics.mechanism.errors import NumericalError
 from closedloop_dynamics.mechanism.mechanism import Body, Joint, Mechanism, Point
-from closedloop_dynamics.simulation.errors import NumericalError
-from closedloop_dynamics.simulation.scene import load_scene
+from closedloop_dynamics.scene.loading import load_scene
 from closedloop_dynamics.simulation.simulation import Simulation
 import numpy as np
 import pytest

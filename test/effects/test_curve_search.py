@@ -3,7 +3,7 @@
 
 """The search for the nearest piece of a curve, beside one that looks at all."""
 
-from closedloop_dynamics.core.codegen.function_table import PRESENT_COLUMNS
+from closedloop_dynamics.codegen.function_table import PRESENT_COLUMNS
 from closedloop_dynamics.effects.curve import pieces
 from closedloop_dynamics.engine import native
 import numpy as np

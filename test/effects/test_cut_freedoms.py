@@ -19,7 +19,7 @@ from closedloop_dynamics.mechanism.fields import FieldError
 from closedloop_dynamics.mechanism.mechanism import (
     Body, CutJoint, Joint, Mechanism, MechanismError)
 from closedloop_dynamics.mechanism.reader import read_mechanism, validate_mechanism
-from closedloop_dynamics.simulation.scene_records import Method
+from closedloop_dynamics.scene.records import Method
 import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation

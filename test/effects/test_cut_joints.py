@@ -6,7 +6,7 @@
 from dataclasses import replace
 import math
 
-from closedloop_dynamics.core.codegen.spatial import rotation
+from closedloop_dynamics.codegen.spatial import rotation
 from closedloop_dynamics.effects.actuator import Actuator
 from closedloop_dynamics.effects.end_stop import EndStop
 from closedloop_dynamics.effects.force_table import ForceTable
@@ -27,7 +27,7 @@ from closedloop_dynamics.mechanism.fields import FieldError
 from closedloop_dynamics.mechanism.mechanism import (
     Body, CutJoint, Joint, Mechanism, MechanismError)
 from closedloop_dynamics.mechanism.reader import read_mechanism
-from closedloop_dynamics.simulation.scene_records import Method
+from closedloop_dynamics.scene.records import Method
 import numpy as np
 import pytest
 import yaml

@@ -6,8 +6,8 @@
 from collections import Counter
 from dataclasses import astuple, fields, replace
 
-from closedloop_dynamics.core import cache
-from closedloop_dynamics.core.codegen import routines
+from closedloop_dynamics.codegen import cache
+from closedloop_dynamics.codegen import routines
 from closedloop_dynamics.effects.actuator import Actuator
 from closedloop_dynamics.effects.body_contact import BodyContact
 from closedloop_dynamics.effects.bushing import Bushing
@@ -33,10 +33,10 @@ from closedloop_dynamics.effects.sensor import Sensor
 from closedloop_dynamics.effects.tendon import Tendon
 from closedloop_dynamics.effects.tendon_friction import TendonFriction
 from closedloop_dynamics.effects.tendon_inertia import TendonInertia
+from closedloop_dynamics.kinematics.modeling import build_model
+from closedloop_dynamics.mechanism.errors import AssemblyError, SimulationError
 from closedloop_dynamics.mechanism.mechanism import Point
-from closedloop_dynamics.simulation.errors import AssemblyError, SimulationError
-from closedloop_dynamics.simulation.modeling import build_model
-from closedloop_dynamics.simulation.scene import load_scene, SceneError
+from closedloop_dynamics.scene.loading import load_scene, SceneError
 from closedloop_dynamics.simulation.simulation import Simulation
 import numpy as np
 import pytest

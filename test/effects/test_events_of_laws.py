@@ -5,7 +5,7 @@
 
 from dataclasses import dataclass
 
-from closedloop_dynamics.core.codegen.expression_graph import chosen
+from closedloop_dynamics.codegen.expression_graph import chosen
 from closedloop_dynamics.effects.end_stop import EndStop
 from closedloop_dynamics.effects.law import Law
 from closedloop_dynamics.effects.traced_effect import TracedEffect

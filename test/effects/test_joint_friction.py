@@ -6,7 +6,7 @@
 from dataclasses import replace
 
 from closedloop_dynamics import Simulation
-from closedloop_dynamics.core.codegen import TORQUE_RESPONSE
+from closedloop_dynamics.codegen import TORQUE_RESPONSE
 from closedloop_dynamics.effects.dry_friction import dry_friction
 from closedloop_dynamics.effects.effect_table import EffectTable
 from closedloop_dynamics.effects.element import DISSIPATED, ForceElement, OWN, State
@@ -15,10 +15,10 @@ from closedloop_dynamics.effects.joint_friction import JointFriction
 from closedloop_dynamics.effects.joint_spring import JointSpring
 from closedloop_dynamics.integration import system
 from closedloop_dynamics.integration.registry import INTEGRATORS
+from closedloop_dynamics.kinematics.modeling import build_model
 from closedloop_dynamics.mechanism.mechanism import Body, Joint, Mechanism, REVOLUTE
-from closedloop_dynamics.simulation.modeling import build_model
-from closedloop_dynamics.simulation.scene import load_scene
-from closedloop_dynamics.simulation.scene_records import Method
+from closedloop_dynamics.scene.loading import load_scene
+from closedloop_dynamics.scene.records import Method
 import numpy as np
 import pytest
 from scipy.optimize import lsq_linear

@@ -7,7 +7,7 @@ from dataclasses import astuple
 import math
 
 from closedloop_dynamics import load_scene, Simulation, write_scene
-from closedloop_dynamics.core.codegen import law_routine
+from closedloop_dynamics.codegen import law_routine
 from closedloop_dynamics.effects.actuator import Actuator
 from closedloop_dynamics.effects.external_force import ExternalForce
 from closedloop_dynamics.effects.joint_damping import JointDamping
@@ -15,8 +15,8 @@ from closedloop_dynamics.effects.joint_spring import JointSpring
 from closedloop_dynamics.effects.law import Law
 from closedloop_dynamics.effects.point_spring import PointSpring
 from closedloop_dynamics.effects.prescribed_force import PrescribedForce
+from closedloop_dynamics.mechanism.errors import SimulationError
 from closedloop_dynamics.mechanism.fields import FieldError
-from closedloop_dynamics.simulation.errors import SimulationError
 import numpy as np
 import pytest
 

@@ -6,7 +6,7 @@
 import math
 
 from closedloop_dynamics.effects.outlines import cam, geneva, LAWS, lift
-from closedloop_dynamics.simulation.scene import load_scene, SceneError
+from closedloop_dynamics.scene.loading import load_scene, SceneError
 import numpy as np
 import pytest
 

@@ -11,9 +11,9 @@ from closedloop_dynamics.effects.actuator import Actuator
 from closedloop_dynamics.effects.gravity import Gravity
 from closedloop_dynamics.effects.prescribed_force import PrescribedForce
 from closedloop_dynamics.effects.prescribed_motion import PrescribedMotion, SHAPES
+from closedloop_dynamics.mechanism.errors import AssemblyError, MotionError, SimulationError
 from closedloop_dynamics.mechanism.fields import FieldError
-from closedloop_dynamics.simulation.errors import AssemblyError, MotionError, SimulationError
-from closedloop_dynamics.simulation.scene import load_scene, SceneError
+from closedloop_dynamics.scene.loading import load_scene, SceneError
 import numpy as np
 import pytest
 

@@ -10,7 +10,7 @@ from closedloop_dynamics.effects.element import DISSIPATED, STORED, WORK
 from closedloop_dynamics.effects.registry import EFFECTS
 from closedloop_dynamics.integration.system import parts_of_state
 from closedloop_dynamics.mechanism.mechanism import Point
-from closedloop_dynamics.simulation.scene import load_scene
+from closedloop_dynamics.scene.loading import load_scene
 import numpy as np
 import pytest
 

@@ -8,7 +8,7 @@ import math
 
 from closedloop_dynamics import Simulation
 from closedloop_dynamics.mechanism.mechanism import CutJoint
-from closedloop_dynamics.simulation.scene import load_scene
+from closedloop_dynamics.scene.loading import load_scene
 import numpy as np
 import pytest
 from scipy.integrate import solve_ivp

@@ -6,7 +6,7 @@
 from dataclasses import replace
 from types import SimpleNamespace
 
-from closedloop_dynamics.core.codegen.space import WORK_COLUMNS
+from closedloop_dynamics.codegen.space import WORK_COLUMNS
 from closedloop_dynamics.effects.actuator import Actuator
 from closedloop_dynamics.effects.bushing import Bushing
 from closedloop_dynamics.effects.cable import Cable
@@ -24,9 +24,9 @@ from closedloop_dynamics.effects.payload import Payload
 from closedloop_dynamics.effects.point_spring import PointSpring
 from closedloop_dynamics.effects.prescribed_force import PrescribedForce
 from closedloop_dynamics.effects.rotor import Rotor
+from closedloop_dynamics.kinematics.modeling import build_model, mechanism_arrays
 from closedloop_dynamics.mechanism.fields import FieldError
 from closedloop_dynamics.mechanism.mechanism import Body, GROUND, Joint, Mechanism, Point
-from closedloop_dynamics.simulation.modeling import build_model, mechanism_arrays
 import numpy as np
 import pytest
 

@@ -12,15 +12,15 @@ import sys
 from closedloop_dynamics import load_scene, Simulation, write_scene
 from closedloop_dynamics.cli import main
 from closedloop_dynamics.cli.commands import COMMANDS, parser
-from closedloop_dynamics.core.codegen.expression_graph import chosen, exponential, larger
-from closedloop_dynamics.core.codegen import law_routine
+from closedloop_dynamics.codegen import law_routine
+from closedloop_dynamics.codegen.expression_graph import chosen, exponential, larger
 from closedloop_dynamics.effects import registration, registry
 from closedloop_dynamics.effects.end_stop import EndStop
 from closedloop_dynamics.effects.law import Law
 from closedloop_dynamics.effects.traced_effect import TracedEffect
 from closedloop_dynamics.effects.user_code import run_code
 from closedloop_dynamics.mechanism.fields import FieldError
-from closedloop_dynamics.simulation.scene import SceneError
+from closedloop_dynamics.scene.loading import SceneError
 import numpy as np
 import pytest
 
@@ -28,7 +28,7 @@ from .machines import assert_balanced, block, simulated, spatial_block
 
 STOP = """\
 from dataclasses import dataclass
-from closedloop_dynamics.core.codegen.expression_graph import larger
+from closedloop_dynamics.codegen.expression_graph import larger
 from closedloop_dynamics.effects.registration import register
 from closedloop_dynamics.effects.traced_effect import TracedEffect
 

@@ -10,16 +10,16 @@ import re
 import sys
 import weakref
 
-from closedloop_dynamics.core.codegen import function_table as calls
-from closedloop_dynamics.core.types import BODY_A, CUT_NUMBER, CUT_TYPE, PATH_B
+from closedloop_dynamics.codegen import function_table as calls
 from closedloop_dynamics.engine import native
+from closedloop_dynamics.engine.types import BODY_A, CUT_NUMBER, CUT_TYPE, PATH_B
 from closedloop_dynamics.integration.registry import PROJECTION
 from closedloop_dynamics.integration.run import DONE
 from closedloop_dynamics.integration.system import build_system, number_of_states
 from closedloop_dynamics.integration.tableau import RK4
+from closedloop_dynamics.kinematics.modeling import build_model
+from closedloop_dynamics.scene.records import Method
 from closedloop_dynamics.simulation.guards import guard_limits
-from closedloop_dynamics.simulation.modeling import build_model
-from closedloop_dynamics.simulation.scene_records import Method
 from closedloop_dynamics.simulation.simulation import Simulation
 import numpy as np
 import pytest

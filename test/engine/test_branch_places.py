@@ -6,7 +6,7 @@
 from dataclasses import replace
 import math
 
-from closedloop_dynamics.simulation.scene_records import Method
+from closedloop_dynamics.scene.records import Method
 from closedloop_dynamics.simulation.simulation import Simulation
 import hard_machines as machines
 import numpy as np

@@ -7,11 +7,12 @@ from pathlib import Path
 import re
 
 from closedloop_dynamics import engine
-from closedloop_dynamics.core import equations, manifold, types
-from closedloop_dynamics.core.codegen import (
+from closedloop_dynamics.codegen import equations
+from closedloop_dynamics.codegen import (
     elimination, function_table, live_scene, refinement, sensitivities, space as code_in_space)
 from closedloop_dynamics.effects import (
     curve, effect_table, element, expression, force_law, profile, traced_effect)
+from closedloop_dynamics.engine import manifold, types
 from closedloop_dynamics.integration import (
     batch, control, evaluation, recorded_run, registry, run, stepped_run, system, tableau)
 from closedloop_dynamics.simulation import guards

@@ -13,8 +13,8 @@ from copy import deepcopy
 import ctypes
 import random
 
-from closedloop_dynamics.core.codegen.workspace import allocate
-from closedloop_dynamics.core.equations import Far, Loops, with_all_equations
+from closedloop_dynamics.codegen.equations import Far, Loops, with_all_equations
+from closedloop_dynamics.codegen.workspace import allocate
 from closedloop_dynamics.effects import effect_table
 from closedloop_dynamics.effects.expression import program
 from closedloop_dynamics.effects.fluid_drag import FluidDrag
@@ -22,11 +22,11 @@ from closedloop_dynamics.effects.joint_spring import JointSpring
 from closedloop_dynamics.effects.law import Law
 from closedloop_dynamics.engine import native
 from closedloop_dynamics.integration.registry import PROJECTION
+from closedloop_dynamics.kinematics.pose_grid import Axis, Platform, PoseGrid
+from closedloop_dynamics.scene.loading import load_scene
 from closedloop_dynamics.simulation.derivative_code import DerivativeCode
 from closedloop_dynamics.simulation.model import Model
-from closedloop_dynamics.simulation.pose_grid import Axis, Platform, PoseGrid
 from closedloop_dynamics.simulation.rollout_run import QUANTITIES
-from closedloop_dynamics.simulation.scene import load_scene
 from closedloop_dynamics.simulation.sensitivity import Sensitivity
 from closedloop_dynamics.simulation.simulation import Simulation
 from closedloop_dynamics.simulation.traced_scene import TracedScene
@@ -37,7 +37,8 @@ from ..effects import (
     test_curve_search, test_cut_freedoms, test_effect_set, test_joint_spring, test_space)
 from ..effects.machines import simulated
 from ..estimation import test_correction
-from ..simulation import test_driven, test_stepper
+from ..kinematics import test_driven
+from ..simulation import test_stepper
 
 RUNS = [('three_rrr', 'rk4'), ('three_rrr', 'rodas4'), ('three_rrr', 'rodas4_fixed'),
         ('three_rrr', 'dopri5'), ('carpet_scraper_on_carpet', 'auto'), ('geneva_drive', 'auto'),

@@ -9,7 +9,7 @@ from types import SimpleNamespace
 from closedloop_dynamics.control.files import Controller, read_controller
 from closedloop_dynamics.mechanism.config import config_directory
 from closedloop_dynamics.recording.forces import MessageBag
-from closedloop_dynamics.simulation.scene import load_scene
+from closedloop_dynamics.scene.loading import load_scene
 from closedloop_dynamics.simulation.simulation import Simulation
 
 FOLDER = config_directory() / 'estimation'

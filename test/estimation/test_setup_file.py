@@ -10,7 +10,7 @@ from test.estimation.recorded import SENSORS
 from closedloop_dynamics.estimation.sensors import ImuSensor, JointSensor
 from closedloop_dynamics.estimation.setup_file import COMMAND, read_setup, SetupError
 from closedloop_dynamics.estimation.unknowns import Payload, Wrench
-from closedloop_dynamics.simulation.scene import load_scene
+from closedloop_dynamics.scene.loading import load_scene
 import numpy as np
 import pytest
 

@@ -5,9 +5,9 @@
 
 from closedloop_dynamics import Simulation
 from closedloop_dynamics.formats.registry import read_model
-from closedloop_dynamics.simulation.global_assembly import find_closed
-from closedloop_dynamics.simulation.model_scene import assembled
-from closedloop_dynamics.simulation.scene import load_scene
+from closedloop_dynamics.kinematics.global_assembly import find_closed
+from closedloop_dynamics.scene.loading import load_scene
+from closedloop_dynamics.scene.model_scene import assembled
 import numpy as np
 import pytest
 

@@ -7,11 +7,11 @@ from closedloop_dynamics.formats.building import lines
 from closedloop_dynamics.formats.mjcf_omissions import FIELDS
 from closedloop_dynamics.formats.registry import read_model
 from closedloop_dynamics.formats.yaml_text import mechanism_text
+from closedloop_dynamics.kinematics.global_assembly import ClosureProblem
+from closedloop_dynamics.kinematics.modeling import build_model
 from closedloop_dynamics.mechanism.closure import coupling_errors
 from closedloop_dynamics.mechanism.mechanism import MechanismError
 from closedloop_dynamics.mechanism.reader import read_mechanism
-from closedloop_dynamics.simulation.global_assembly import ClosureProblem
-from closedloop_dynamics.simulation.modeling import build_model
 import numpy as np
 import pytest
 

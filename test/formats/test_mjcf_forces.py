@@ -4,7 +4,7 @@
 """Accelerations of MJCF under all that acts in it: those of MuJoCo, by the engine itself."""
 
 from closedloop_dynamics.formats.registry import read_model
-from closedloop_dynamics.simulation.scene import load_scene
+from closedloop_dynamics.scene.loading import load_scene
 from closedloop_dynamics.simulation.simulation import Simulation
 import numpy as np
 import pytest

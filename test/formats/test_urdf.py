@@ -13,7 +13,7 @@ from closedloop_dynamics.formats.registry import read_model
 from closedloop_dynamics.formats.yaml_text import mechanism_text
 from closedloop_dynamics.mechanism.mechanism import Coupling, MechanismError
 from closedloop_dynamics.mechanism.reader import read_mechanism
-from closedloop_dynamics.simulation.scene import load_scene, SceneError
+from closedloop_dynamics.scene.loading import load_scene, SceneError
 import numpy as np
 import pytest
 

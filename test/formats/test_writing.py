@@ -15,13 +15,13 @@ from closedloop_dynamics.formats.sdf_writing import sdf
 from closedloop_dynamics.formats.urdf_loops import FORMS
 from closedloop_dynamics.formats.urdf_writing import urdf_with_loops
 from closedloop_dynamics.formats.writing import numbers
+from closedloop_dynamics.kinematics.global_assembly import ClosureProblem, find_closed
+from closedloop_dynamics.kinematics.modeling import build_model
 from closedloop_dynamics.mechanism.config import shipped_path
 from closedloop_dynamics.mechanism.mechanism import (
     Body, Coupling, CouplingLaw, CutJoint, Joint, Mechanism, MechanismError, Point)
 from closedloop_dynamics.mechanism.reader import read_mechanism
 from closedloop_dynamics.mechanism.validation import validate_mechanism
-from closedloop_dynamics.simulation.global_assembly import ClosureProblem, find_closed
-from closedloop_dynamics.simulation.modeling import build_model
 import numpy as np
 import pytest
 

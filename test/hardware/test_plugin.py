@@ -9,7 +9,7 @@ from xml.etree import ElementTree
 
 from closedloop_dynamics.cli import main
 from closedloop_dynamics.engine import build
-from closedloop_dynamics.simulation.scene import load_scene
+from closedloop_dynamics.scene.loading import load_scene
 import pytest
 
 from .test_mechanism import eigen, PACKAGE, STRICT

@@ -10,7 +10,7 @@ from closedloop_dynamics.effects.joint_damping import JointDamping
 from closedloop_dynamics.effects.joint_spring import JointSpring
 from closedloop_dynamics.integration.registry import ADAPTIVE, INTEGRATORS, STABILISATIONS
 from closedloop_dynamics.integration.tableau import DOP853, DOPRI5, HEUN, RK4
-from closedloop_dynamics.simulation.scene import load_scene
+from closedloop_dynamics.scene.loading import load_scene
 import numpy as np
 import pytest
 from scipy.integrate import solve_ivp

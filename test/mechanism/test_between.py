@@ -9,7 +9,7 @@ from closedloop_dynamics import Simulation
 from closedloop_dynamics.mechanism.fields import FieldError
 from closedloop_dynamics.mechanism.mechanism import MechanismError, Point
 from closedloop_dynamics.mechanism.reader import read_mechanism, with_cuts, with_parameters
-from closedloop_dynamics.simulation.scene import load_scene, load_scene_or_mechanism, SceneError
+from closedloop_dynamics.scene.loading import load_scene, load_scene_or_mechanism, SceneError
 from closedloop_dynamics.studies.check import describe
 import numpy as np
 import pytest

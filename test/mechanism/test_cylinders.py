@@ -7,7 +7,7 @@ import math
 
 from closedloop_dynamics.mechanism.mechanism import MechanismError
 from closedloop_dynamics.mechanism.reader import read_mechanism, with_parameters
-from closedloop_dynamics.simulation.scene import load_scene
+from closedloop_dynamics.scene.loading import load_scene
 from closedloop_dynamics.simulation.simulation import Simulation
 from closedloop_dynamics.view.editing import Editor
 import numpy as np

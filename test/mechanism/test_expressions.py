@@ -11,8 +11,8 @@ from closedloop_dynamics.mechanism.expressions import FUNCTIONS, Parameters
 from closedloop_dynamics.mechanism.fields import FieldError
 from closedloop_dynamics.mechanism.mechanism import MechanismError
 from closedloop_dynamics.mechanism.reader import read_mechanism, with_parameters
-from closedloop_dynamics.simulation.key_paths import changed, numbers, resolve
-from closedloop_dynamics.simulation.scene import load_scene, SceneError
+from closedloop_dynamics.scene.key_paths import changed, numbers, resolve
+from closedloop_dynamics.scene.loading import load_scene, SceneError
 from closedloop_dynamics.sweep.plan import parse, Plan
 import pytest
 

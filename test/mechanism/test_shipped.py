@@ -8,7 +8,7 @@ The cut equations of the scraper, the leg and the 3-RRR are written out by hand 
 with the absolute angles alpha_i) and compared with the twin's at random coordinates.
 """
 
-from closedloop_dynamics.simulation.scene import load_scene
+from closedloop_dynamics.scene.loading import load_scene
 import numpy as np
 import pytest
 

@@ -4,7 +4,7 @@
 """Units of coordinates, in the tree and where it is cut: efforts times rates are powers."""
 
 from closedloop_dynamics.mechanism.coordinates import EITHER, QUANTITIES, unit_of
-from closedloop_dynamics.simulation.scene import load_scene
+from closedloop_dynamics.scene.loading import load_scene
 
 
 def test_turns_and_slides_have_units_whose_products_are_powers():

@@ -46,5 +46,5 @@ def test_environment_is_of_the_distribution(settings, ends):
 
 def test_every_process_gets_the_tests_in_the_same_order():
     # One that waits and one that computes: both have the middle for their place.
-    files = [ROOT / 'test' / name for name in ('ros/test_messages.py', 'core/test_codegen.py')]
+    files = [ROOT / 'test' / name for name in ('ros/test_messages.py', 'codegen/test_codegen.py')]
     assert in_order(files) == in_order(files[::-1])

@@ -11,7 +11,7 @@ from hypothesis import given, settings, strategies
 import numpy as np
 import pytest
 
-from ..core.engine import Engine
+from ..codegen.engine import Engine
 from ..reference.compare import assert_agree
 from ..reference.linkages import random_linkage
 from ..reference.scenes import simulated

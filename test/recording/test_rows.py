@@ -18,8 +18,8 @@ from closedloop_dynamics.recording.kinematics import Drive, DrivenRun
 from closedloop_dynamics.recording.quantities import by_name
 from closedloop_dynamics.recording.recording import read_recording, Recording
 from closedloop_dynamics.recording.rows import read_rows, scene_path
-from closedloop_dynamics.simulation.key_paths import changed, resolve
-from closedloop_dynamics.simulation.scene import load_scene, scene_names
+from closedloop_dynamics.scene.key_paths import changed, resolve
+from closedloop_dynamics.scene.loading import load_scene, scene_names
 import numpy as np
 import pytest
 

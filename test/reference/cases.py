@@ -11,7 +11,7 @@ number; in space machines and random mechanisms with joints of all types.
 import copy
 import functools
 
-from closedloop_dynamics.simulation.scene import load_scene
+from closedloop_dynamics.scene.loading import load_scene
 import numpy as np
 import pytest
 

@@ -9,7 +9,7 @@ the elimination is not: these formulations see neither subsystems nor the graph 
 and cost O((n + m)^3) and O(n^3 + m^3). ``dense`` has twins that share nothing with the engine.
 """
 
-from closedloop_dynamics.core.types import NO_RESPONSES
+from closedloop_dynamics.engine.types import NO_RESPONSES
 import numpy as np
 from scipy.linalg import lapack
 

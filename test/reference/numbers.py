@@ -8,13 +8,13 @@ Places, Jacobians, energies and forces, by the same recursions that code is gene
 motion and least forces from equations that may depend on one another.
 """
 
-from closedloop_dynamics.core.codegen import space
-from closedloop_dynamics.core.codegen.rows import by_column, columns_of, six
-from closedloop_dynamics.core.codegen.spatial import at_parent, Recursion
-from closedloop_dynamics.core.codegen.vectors import (
+from closedloop_dynamics.codegen import space
+from closedloop_dynamics.codegen.equations import Equations, with_all_equations
+from closedloop_dynamics.codegen.rows import by_column, columns_of, six
+from closedloop_dynamics.codegen.spatial import at_parent, Recursion
+from closedloop_dynamics.codegen.vectors import (
     add, cross, dot, scale, subtract, times, transpose, ZERO)
-from closedloop_dynamics.core.equations import Equations, with_all_equations
-from closedloop_dynamics.core.types import BODY_A, BODY_B, CUT_ROW, DOF, PARENT
+from closedloop_dynamics.engine.types import BODY_A, BODY_B, CUT_ROW, DOF, PARENT
 import numpy as np
 
 # Singular values of the scaled Jacobian below this times the largest belong to equations that

@@ -6,7 +6,7 @@
 from functools import partial
 
 from closedloop_dynamics.effects.gravity import Gravity
-from closedloop_dynamics.simulation.scene_records import Initial, Method, Scene
+from closedloop_dynamics.scene.records import Initial, Method, Scene
 from closedloop_dynamics.simulation.simulation import Simulation
 import numpy as np
 

@@ -5,10 +5,10 @@
 
 from dataclasses import replace
 
+from closedloop_dynamics.kinematics.modeling import build_model
 from closedloop_dynamics.mechanism.config import shipped_path
 from closedloop_dynamics.mechanism.mechanism import Body, CutJoint, Joint, Mechanism
 from closedloop_dynamics.mechanism.reader import read_mechanism, with_cuts
-from closedloop_dynamics.simulation.modeling import build_model
 import numpy as np
 
 from .numbers import Numbers

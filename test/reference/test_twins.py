@@ -3,7 +3,7 @@
 
 """The twins agree with one another, and with physics."""
 
-from closedloop_dynamics.simulation.scene import load_scene
+from closedloop_dynamics.scene.loading import load_scene
 import numpy as np
 import pytest
 

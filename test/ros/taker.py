@@ -5,7 +5,7 @@
 
 from collections import Counter
 
-from closedloop_dynamics.simulation.scene import load_scene
+from closedloop_dynamics.scene.loading import load_scene
 from geometry_msgs.msg import WrenchStamped
 from rclpy.qos import QoSProfile
 from sensor_msgs.msg import JointState

@@ -11,8 +11,8 @@ from closedloop_dynamics.ros.auxiliary_publishers import COLUMNS, NO_STATE
 from closedloop_dynamics.ros.markers import contact_force
 from closedloop_dynamics.ros.process import StartError
 from closedloop_dynamics.ros.simulator_node import SimulatorNode
-from closedloop_dynamics.simulation.scene import load_scene
-from closedloop_dynamics.simulation.scene_text import read_scene_text
+from closedloop_dynamics.scene.loading import load_scene
+from closedloop_dynamics.scene.text import read_scene_text
 from closedloop_dynamics.visual.urdf import urdf
 import numpy as np
 import pytest

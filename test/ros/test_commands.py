@@ -8,7 +8,7 @@ import math
 
 from closedloop_dynamics.ros.commands import (
     CommandError, NOT_ACTUATED, poses_of, TorqueCommand)
-from closedloop_dynamics.simulation.scene import load_scene
+from closedloop_dynamics.scene.loading import load_scene
 from geometry_msgs.msg import Transform
 import pytest
 from sensor_msgs.msg import MultiDOFJointState

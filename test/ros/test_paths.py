@@ -10,7 +10,7 @@ from closedloop_dynamics.mechanism.kinematics import body_poses, named_point, po
 from closedloop_dynamics.ros.process import StartError
 from closedloop_dynamics.ros.torque_source_node import Orientations
 from closedloop_dynamics.ros.torque_source_parameters import TORQUE_SOURCE_PARAMETERS
-from closedloop_dynamics.simulation.scene import load_scene
+from closedloop_dynamics.scene.loading import load_scene
 from closedloop_dynamics.simulation.simulation import Simulation
 from geometry_msgs.msg import Transform, Twist
 import numpy as np

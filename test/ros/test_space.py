@@ -17,8 +17,8 @@ from closedloop_dynamics.mechanism.mechanism import Body, Joint, Mechanism, Poin
 from closedloop_dynamics.ros.auxiliary_publishers import LATCHED_QOS
 from closedloop_dynamics.ros.simulator_node import SimulatorNode
 from closedloop_dynamics.ros.torque_source_node import TorqueSourceNode
-from closedloop_dynamics.simulation.scene import load_scene
-from closedloop_dynamics.simulation.scene_text import scene_text
+from closedloop_dynamics.scene.loading import load_scene
+from closedloop_dynamics.scene.text import scene_text
 from closedloop_dynamics.simulation.simulation import Simulation
 from closedloop_dynamics.visual.appearance import marked_points
 from geometry_msgs.msg import Transform

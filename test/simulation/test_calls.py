@@ -11,9 +11,9 @@ from closedloop_dynamics.effects.contact import Contact
 from closedloop_dynamics.effects.joint_friction import JointFriction
 from closedloop_dynamics.effects.joint_spring import JointSpring
 from closedloop_dynamics.mechanism.config import shipped_names
-from closedloop_dynamics.simulation.errors import NumericalError
-from closedloop_dynamics.simulation.scene import load_scene
-from closedloop_dynamics.simulation.scene_records import Method
+from closedloop_dynamics.mechanism.errors import NumericalError
+from closedloop_dynamics.scene.loading import load_scene
+from closedloop_dynamics.scene.records import Method
 from closedloop_dynamics.simulation.simulation import Simulation
 import numpy as np
 import pytest

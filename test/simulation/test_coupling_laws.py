@@ -6,18 +6,18 @@
 from itertools import product
 
 from closedloop_dynamics import Simulation
-from closedloop_dynamics.core.codegen.routines import topology
+from closedloop_dynamics.codegen.routines import topology
 from closedloop_dynamics.formats.yaml_text import mechanism_text
 from closedloop_dynamics.mechanism.closure import closure, coupling_errors
 from closedloop_dynamics.mechanism.reader import read_mechanism
-from closedloop_dynamics.simulation.scene import load_scene, SceneError
-from closedloop_dynamics.simulation.scene_text import write_scene
+from closedloop_dynamics.scene.loading import load_scene, SceneError
+from closedloop_dynamics.scene.text import write_scene
 import numpy as np
 import pytest
 from scipy.interpolate import CubicSpline
 
-from .test_c_source import compiled, require_same_run
 from .test_derivatives import by_loops, require_derivatives, simulation_of
+from ..export.test_c_source import compiled, require_same_run
 from ..reference.compare import assert_agree, SOLVE
 
 GRAVITY = 9.81

@@ -6,8 +6,8 @@
 from dataclasses import replace
 from unittest import mock
 
-from closedloop_dynamics.core.codegen.differentiation import differentiated, gradients
-from closedloop_dynamics.core.codegen.expression_graph import (
+from closedloop_dynamics.codegen.differentiation import differentiated, gradients
+from closedloop_dynamics.codegen.expression_graph import (
     arctangent, chosen, cosine, exponential, ExpressionGraph, LOAD, logarithm, Q, sine,
     square_root)
 from closedloop_dynamics.effects.bushing import Bushing
@@ -22,13 +22,13 @@ from closedloop_dynamics.effects.point_spring import PointSpring
 from closedloop_dynamics.effects.prescribed_force import PrescribedForce
 from closedloop_dynamics.effects.tendon import Tendon
 from closedloop_dynamics.integration import system
+from closedloop_dynamics.mechanism.errors import SimulationError, SingularityError
+from closedloop_dynamics.scene.key_paths import numbers
+from closedloop_dynamics.scene.loading import load_scene
+from closedloop_dynamics.scene.records import Scene
 from closedloop_dynamics.simulation.derivatives import Differentiator
-from closedloop_dynamics.simulation.errors import SimulationError, SingularityError
-from closedloop_dynamics.simulation.key_paths import numbers
 from closedloop_dynamics.simulation.linearisation import Linearisation
 from closedloop_dynamics.simulation.model import Model
-from closedloop_dynamics.simulation.scene import load_scene
-from closedloop_dynamics.simulation.scene_records import Scene
 from closedloop_dynamics.simulation.sensitivity import Sensitivity
 from closedloop_dynamics.simulation.simulation import Simulation
 import numpy as np

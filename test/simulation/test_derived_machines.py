@@ -18,7 +18,7 @@ from closedloop_dynamics.effects.rotor import Rotor
 from closedloop_dynamics.mechanism.kinematics import (
     body_poses, named_point, pose_of, poses_in_space)
 from closedloop_dynamics.mechanism.rotations import rotated
-from closedloop_dynamics.simulation.scene_text import write_scene
+from closedloop_dynamics.scene.text import write_scene
 import numpy as np
 import pytest
 

@@ -7,7 +7,7 @@ import re
 
 from closedloop_dynamics.effects.contact import Contact
 from closedloop_dynamics.effects.joint_spring import JointSpring
-from closedloop_dynamics.simulation.errors import SimulationError
+from closedloop_dynamics.mechanism.errors import SimulationError
 import numpy as np
 import pytest
 

@@ -7,9 +7,9 @@ import math
 
 from closedloop_dynamics.cli import main
 from closedloop_dynamics.effects.end_stop import EndStop
-from closedloop_dynamics.simulation.errors import (
+from closedloop_dynamics.mechanism.errors import (
     ClosureError, InaccuracyWarning, NumericalError, StiffnessError)
-from closedloop_dynamics.simulation.scene import load_scene
+from closedloop_dynamics.scene.loading import load_scene
 from closedloop_dynamics.simulation.simulation import Simulation
 import numpy as np
 import pytest

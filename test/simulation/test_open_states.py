@@ -149,7 +149,7 @@ def test_prescribed_motions_count_as_loops():
 def test_functions_of_jax_refuse_open_states():
     jax = pytest.importorskip('jax', reason='needs jax, from the Python package index')
     jax.config.update('jax_enable_x64', True)
-    from closedloop_dynamics.simulation.jax_dynamics import jax_dynamics
+    from closedloop_dynamics.export.jax_dynamics import jax_dynamics
     model = Model.from_scene('four_bar')
     state, _ = opened(model)
     with pytest.raises(Exception, match='cut_joints.cut_1 open by'):

@@ -16,10 +16,10 @@ from closedloop_dynamics.integration.system import parts_of_state
 from closedloop_dynamics.mechanism.fields import FieldError
 from closedloop_dynamics.mechanism.mechanism import Body, CutJoint, Joint, Mechanism, Point
 from closedloop_dynamics.recording.run import columns, Report, run
-from closedloop_dynamics.simulation.key_paths import changed, numbers, resolve
-from closedloop_dynamics.simulation.scene import load_scene
-from closedloop_dynamics.simulation.scene_records import Initial, Method
-from closedloop_dynamics.simulation.scene_text import read_scene_text, scene_text
+from closedloop_dynamics.scene.key_paths import changed, numbers, resolve
+from closedloop_dynamics.scene.loading import load_scene
+from closedloop_dynamics.scene.records import Initial, Method
+from closedloop_dynamics.scene.text import read_scene_text, scene_text
 from closedloop_dynamics.simulation.simulation import Simulation
 from closedloop_dynamics.studies.check import describe
 from closedloop_dynamics.visual.trajectory import from_rows

@@ -6,16 +6,16 @@
 from dataclasses import replace
 import math
 
-from closedloop_dynamics.core.types import RANK_REVEALING_COUNT
 from closedloop_dynamics.effects.external_force import ExternalForce
 from closedloop_dynamics.effects.joint_friction import JointFriction
 from closedloop_dynamics.effects.prescribed_motion import PrescribedMotion
+from closedloop_dynamics.engine.types import RANK_REVEALING_COUNT
+from closedloop_dynamics.kinematics.geometry import Geometry
 from closedloop_dynamics.mechanism.mechanism import (
     Body, Coupling, CutJoint, DISTANCE, Joint, Mechanism, Point, POINT_ON_LINE, PRISMATIC,
     REVOLUTE)
-from closedloop_dynamics.simulation.geometry import Geometry
-from closedloop_dynamics.simulation.scene import load_scene
-from closedloop_dynamics.simulation.scene_records import Method
+from closedloop_dynamics.scene.loading import load_scene
+from closedloop_dynamics.scene.records import Method
 from closedloop_dynamics.simulation.simulation import Simulation
 from closedloop_dynamics.studies.check import describe
 import hard_machines as machines
@@ -354,7 +354,7 @@ STANDING_IN = {
 
 @pytest.mark.parametrize('name', STANDING_IN)
 def test_repeated_equations_cost_no_more_than_independent_ones(name):
-    from closedloop_dynamics.core.codegen.routines import operations
+    from closedloop_dynamics.codegen.routines import operations
     mechanism, q, _ = REDUNDANT[name][0]()
     geometry = Geometry(mechanism)
     geometry.leave_out_repeated(q)

@@ -14,10 +14,10 @@ from closedloop_dynamics.effects.joint_spring import JointSpring
 from closedloop_dynamics.effects.payload import Payload
 from closedloop_dynamics.effects.point_spring import PointSpring
 from closedloop_dynamics.effects.rotor import Rotor
-from closedloop_dynamics.simulation.derivatives import Differentiator
-from closedloop_dynamics.simulation.errors import (
+from closedloop_dynamics.mechanism.errors import (
     ClosureError, NumericalError, SimulationError, SingularityError)
-from closedloop_dynamics.simulation.key_paths import numbers
+from closedloop_dynamics.scene.key_paths import numbers
+from closedloop_dynamics.simulation.derivatives import Differentiator
 import numpy as np
 import pytest
 

@@ -5,28 +5,28 @@
 
 from dataclasses import replace
 
-from closedloop_dynamics.core.equations import Equations
+from closedloop_dynamics.codegen.equations import Equations
 from closedloop_dynamics.effects.external_force import ExternalForce
 from closedloop_dynamics.effects.joint_friction import JointFriction
 from closedloop_dynamics.effects.joint_spring import JointSpring
 from closedloop_dynamics.effects.point_spring import PointSpring
 from closedloop_dynamics.effects.rotor import Rotor
 from closedloop_dynamics.integration import system
+from closedloop_dynamics.mechanism.errors import SimulationError
 from closedloop_dynamics.mechanism.mechanism import (
     GROUND, JOINT_FREEDOMS, Point, PRISMATIC, REVOLUTE)
 from closedloop_dynamics.recording.run import columns, row
-from closedloop_dynamics.simulation.errors import SimulationError
-from closedloop_dynamics.simulation.scene import load_scene
+from closedloop_dynamics.scene.loading import load_scene
 from closedloop_dynamics.simulation.simulation import Simulation
 import numpy as np
 import pytest
 
-from ..reference.scenes import scene_in_space as scene
 from .test_space import machine, TIGHT
-from ..core.spatial_engine import SpatialEngine
+from ..codegen.spatial_engine import SpatialEngine
 from ..reference import cases, spatial_linkages, spatial_maximal as twin
 from ..reference.compare import assert_agree
 from ..reference.numbers import Numbers
+from ..reference.scenes import scene_in_space as scene
 
 
 def at(model, q, qd):

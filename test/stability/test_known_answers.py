@@ -7,10 +7,10 @@ from dataclasses import replace
 import math
 
 from closedloop_dynamics.effects.joint_spring import JointSpring
+from closedloop_dynamics.mechanism.errors import AssemblyError
 from closedloop_dynamics.mechanism.mechanism import Body, Mechanism
-from closedloop_dynamics.simulation.errors import AssemblyError
-from closedloop_dynamics.simulation.scene import load_scene, scene_names
-from closedloop_dynamics.simulation.scene_records import Method
+from closedloop_dynamics.scene.loading import load_scene, scene_names
+from closedloop_dynamics.scene.records import Method
 from closedloop_dynamics.simulation.simulation import Simulation
 import hard_cases
 import hard_machines as machines

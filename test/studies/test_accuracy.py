@@ -9,10 +9,10 @@ import math
 
 from closedloop_dynamics.cli import main
 from closedloop_dynamics.integration.registry import INTEGRATORS, STABILISATIONS
-from closedloop_dynamics.simulation.errors import SimulationError
-from closedloop_dynamics.simulation.motions import moving
-from closedloop_dynamics.simulation.scene import load_scene
-from closedloop_dynamics.simulation.scene_records import Initial, Method
+from closedloop_dynamics.kinematics.motions import moving
+from closedloop_dynamics.mechanism.errors import SimulationError
+from closedloop_dynamics.scene.loading import load_scene
+from closedloop_dynamics.scene.records import Initial, Method
 from closedloop_dynamics.simulation.simulation import Simulation
 from closedloop_dynamics.studies import accuracy, reference
 from closedloop_dynamics.studies.accuracy import (

@@ -6,10 +6,10 @@
 from copy import deepcopy
 from dataclasses import replace
 
+from closedloop_dynamics.kinematics.motions import moving
+from closedloop_dynamics.mechanism.errors import AssemblyError
 from closedloop_dynamics.mechanism.mechanism import Body, Joint, Mechanism
-from closedloop_dynamics.simulation.errors import AssemblyError
-from closedloop_dynamics.simulation.motions import moving
-from closedloop_dynamics.simulation.scene import load_scene, scene_names
+from closedloop_dynamics.scene.loading import load_scene, scene_names
 from closedloop_dynamics.simulation.simulation import Simulation
 from closedloop_dynamics.studies.check import describe
 import pytest

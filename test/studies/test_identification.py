@@ -9,11 +9,11 @@ from closedloop_dynamics.effects.joint_damping import JointDamping
 from closedloop_dynamics.effects.joint_friction import JointFriction
 from closedloop_dynamics.effects.prescribed_force import PrescribedForce
 from closedloop_dynamics.effects.tendon_friction import TendonFriction
+from closedloop_dynamics.kinematics.motions import moving
+from closedloop_dynamics.kinematics.passive_joint_solver import PassiveJointError
 from closedloop_dynamics.mechanism.fields import FieldError
-from closedloop_dynamics.simulation.key_paths import changed, numbers, resolve
-from closedloop_dynamics.simulation.motions import moving
-from closedloop_dynamics.simulation.passive_joint_solver import PassiveJointError
-from closedloop_dynamics.simulation.scene import load_scene
+from closedloop_dynamics.scene.key_paths import changed, numbers, resolve
+from closedloop_dynamics.scene.loading import load_scene
 from closedloop_dynamics.simulation.simulation import Simulation
 from closedloop_dynamics.studies.excitation import excite
 from closedloop_dynamics.studies.identification import (

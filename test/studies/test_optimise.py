@@ -10,8 +10,8 @@ from closedloop_dynamics import load_scene, Model
 from closedloop_dynamics.mechanism.fields import FieldError
 from closedloop_dynamics.mechanism.kinematics import named_paths
 from closedloop_dynamics.recording.kinematics import Drive, DrivenRun
-from closedloop_dynamics.simulation.key_paths import changed, numbers, resolve
-from closedloop_dynamics.simulation.scene_edit import write_with_numbers
+from closedloop_dynamics.scene.edit import write_with_numbers
+from closedloop_dynamics.scene.key_paths import changed, numbers, resolve
 from closedloop_dynamics.studies.objectives import Expression, Requirement
 from closedloop_dynamics.studies.optimise import (
     from_start, optimise, Optimum, OptimumFileError, problem_of, solve)

@@ -3,9 +3,9 @@
 
 """Linkages by precision positions are those of the literature, and move through the positions."""
 
+from closedloop_dynamics.kinematics.assembly import Assembler
+from closedloop_dynamics.kinematics.geometry import Geometry
 from closedloop_dynamics.mechanism.kinematics import body_poses, named_point, pose_of
-from closedloop_dynamics.simulation.assembly import Assembler
-from closedloop_dynamics.simulation.geometry import Geometry
 from closedloop_dynamics.studies import synthesis
 from closedloop_dynamics.studies.synthesis import (
     function_generation, Linkage, motion_generation, path_generation, SLIDER_CRANK, SynthesisError)

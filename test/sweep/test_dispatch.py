@@ -6,7 +6,7 @@
 from concurrent.futures import BrokenExecutor, Future, ThreadPoolExecutor
 from functools import partial
 
-from closedloop_dynamics.simulation.scene import load_scene
+from closedloop_dynamics.scene.loading import load_scene
 from closedloop_dynamics.sweep.batch import failed, Job, SAMPLE_DONE, SAMPLE_FAILED
 from closedloop_dynamics.sweep.executors import (
     dispatched, EngineError, ExternalExecutor, SerialExecutor)

@@ -5,8 +5,8 @@
 
 from closedloop_dynamics.mechanism.fields import FieldError
 from closedloop_dynamics.mechanism.mechanism import MechanismError
-from closedloop_dynamics.simulation.key_paths import changed, numbers, resolve
-from closedloop_dynamics.simulation.scene import load_scene, scene_names
+from closedloop_dynamics.scene.key_paths import changed, numbers, resolve
+from closedloop_dynamics.scene.loading import load_scene, scene_names
 import pytest
 
 from ..reference import cases

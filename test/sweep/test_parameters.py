@@ -4,7 +4,7 @@
 """What ``--vary`` understands, and the samples that follow from it."""
 
 from closedloop_dynamics.mechanism.fields import FieldError
-from closedloop_dynamics.simulation.scene import load_scene
+from closedloop_dynamics.scene.loading import load_scene
 from closedloop_dynamics.sweep.plan import Grid, parse, Plan, Random, variation
 import numpy as np
 import pytest

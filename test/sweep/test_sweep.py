@@ -11,7 +11,7 @@ from test.test_cli import call
 import time
 
 from closedloop_dynamics.mechanism.fields import FieldError
-from closedloop_dynamics.simulation.scene import load_scene
+from closedloop_dynamics.scene.loading import load_scene
 from closedloop_dynamics.simulation.simulation import Simulation
 from closedloop_dynamics.sweep import batch, sweep
 from closedloop_dynamics.sweep.storage import StorageError

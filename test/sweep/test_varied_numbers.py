@@ -5,7 +5,7 @@
 
 from closedloop_dynamics import load_scene, Simulation
 from closedloop_dynamics.mechanism.config import shipped_names
-from closedloop_dynamics.simulation.key_paths import changed, numbers, resolve
+from closedloop_dynamics.scene.key_paths import changed, numbers, resolve
 from closedloop_dynamics.simulation.rollout_run import QUANTITIES
 import numpy as np
 import pytest

@@ -7,7 +7,7 @@ import json
 import math
 import threading
 
-from closedloop_dynamics.simulation.scene import load_scene
+from closedloop_dynamics.scene.loading import load_scene
 from closedloop_dynamics.view.page import live_page
 from closedloop_dynamics.view.runner import RATE, Runner
 from closedloop_dynamics.view.server import Server

@@ -9,7 +9,7 @@ from test.view.browser import program
 from test.view.test_edit_page import opened
 
 from closedloop_dynamics.mechanism.kinematics import body_poses, named_paths, pose_of, world_points
-from closedloop_dynamics.simulation.scene import scene_of_yaml
+from closedloop_dynamics.scene.loading import scene_of_yaml
 from closedloop_dynamics.simulation.simulation import Simulation
 import pytest
 

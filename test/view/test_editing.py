@@ -10,10 +10,10 @@ from threading import Event
 import time
 
 from closedloop_dynamics.control.files import Controller as OwnController
+from closedloop_dynamics.kinematics.modeling import extent
 from closedloop_dynamics.mechanism.fields import FieldError
 from closedloop_dynamics.mechanism.kinematics import body_poses, named_point, pose_of
-from closedloop_dynamics.simulation.modeling import extent
-from closedloop_dynamics.simulation.scene import load_scene, scene_names, scene_of_yaml
+from closedloop_dynamics.scene.loading import load_scene, scene_names, scene_of_yaml
 from closedloop_dynamics.simulation.simulation import Simulation
 from closedloop_dynamics.view import rebuilding
 from closedloop_dynamics.view.adding import NEEDED

@@ -7,7 +7,7 @@ from dataclasses import replace
 import json
 from test.view.browser import browser, program
 
-from closedloop_dynamics.simulation.scene import scene_of_yaml
+from closedloop_dynamics.scene.loading import scene_of_yaml
 from closedloop_dynamics.simulation.simulation import Simulation
 from closedloop_dynamics.view.page import editor_page
 from closedloop_dynamics.view.standalone import METHOD

@@ -6,7 +6,7 @@
 from test.view.browser import browser, program
 
 from closedloop_dynamics.mechanism.kinematics import body_poses, poses_in_space
-from closedloop_dynamics.simulation.scene import load_scene
+from closedloop_dynamics.scene.loading import load_scene
 from closedloop_dynamics.view.columns import motion_columns
 from closedloop_dynamics.view.description import describe
 from closedloop_dynamics.view.page import recorded_page

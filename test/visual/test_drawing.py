@@ -6,7 +6,7 @@
 from closedloop_dynamics.mechanism import closure as closures, kinematics
 from closedloop_dynamics.mechanism.reader import read_mechanism
 from closedloop_dynamics.recording.run import columns, Report, run
-from closedloop_dynamics.simulation.scene import config_directory
+from closedloop_dynamics.scene.loading import config_directory
 from closedloop_dynamics.simulation.simulation import Simulation
 from closedloop_dynamics.visual import pictures, trajectory as motions
 from closedloop_dynamics.visual.appearance import outline, sliders

@@ -8,7 +8,7 @@ from dataclasses import replace
 from closedloop_dynamics.mechanism.kinematics import body_poses, pose_of, poses_in_space
 from closedloop_dynamics.mechanism.mechanism import Coupling, Visual
 from closedloop_dynamics.mechanism.rotations import of_quaternion
-from closedloop_dynamics.simulation.scene import load_scene
+from closedloop_dynamics.scene.loading import load_scene
 from closedloop_dynamics.visual.transmissions import transmissions
 from closedloop_dynamics.visual.wheels import profile, rack_profile
 from matplotlib.path import Path

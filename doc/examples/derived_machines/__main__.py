@@ -18,10 +18,10 @@ from pathlib import Path
 import sys
 
 from closedloop_dynamics import load_scene, Model
+from closedloop_dynamics.mechanism.errors import AssemblyError
 from closedloop_dynamics.mechanism.mechanism import MechanismError
-from closedloop_dynamics.simulation.errors import AssemblyError
-from closedloop_dynamics.simulation.scene import SceneError
-from closedloop_dynamics.simulation.scene_text import write_scene
+from closedloop_dynamics.scene.loading import SceneError
+from closedloop_dynamics.scene.text import write_scene
 from cognates import cognates
 from inversion import inverted
 from mirror import AXES, mirrored

@@ -15,12 +15,12 @@ import cmath
 from closedloop_dynamics.effects.gravity import Gravity
 from closedloop_dynamics.effects.registry import effect_type
 from closedloop_dynamics.formats.pose import poses_at
+from closedloop_dynamics.kinematics.assembly import Assembler
+from closedloop_dynamics.kinematics.geometry import Geometry
 from closedloop_dynamics.mechanism.four_bar import bars
 from closedloop_dynamics.mechanism.mechanism import (
     Body, CutJoint, GROUND, Joint, Mechanism, Point, REVOLUTE)
-from closedloop_dynamics.simulation.assembly import Assembler
-from closedloop_dynamics.simulation.geometry import Geometry
-from closedloop_dynamics.simulation.scene_records import Initial, Scene
+from closedloop_dynamics.scene.records import Initial, Scene
 from variant import Variant
 
 # Share of a length that is rounding.

@@ -11,12 +11,12 @@ child. The old ground becomes a link without mass, which the loops have to move.
 from dataclasses import replace
 
 from closedloop_dynamics.formats.pose import joint_frame, Pose, poses_at
+from closedloop_dynamics.kinematics.assembly import Assembler
+from closedloop_dynamics.kinematics.geometry import Geometry
 from closedloop_dynamics.mechanism.mechanism import (
     Body, CYLINDRICAL, GROUND, HELICAL, MechanismError, PRISMATIC, REVOLUTE, SPHERICAL, UNIVERSAL,
     UNTURNED)
 from closedloop_dynamics.mechanism.rotations import angle_of, of_quaternion, quaternion_of
-from closedloop_dynamics.simulation.assembly import Assembler
-from closedloop_dynamics.simulation.geometry import Geometry
 from frames import moved_inertia, moved_place, reframed
 import numpy as np
 from variant import carried_effects, variant

@@ -20,7 +20,7 @@ from closedloop_dynamics.effects.prescribed_force import PrescribedForce
 from closedloop_dynamics.effects.prescribed_motion import PrescribedMotion
 from closedloop_dynamics.effects.registry import effect_type
 from closedloop_dynamics.effects.rotor import Rotor
-from closedloop_dynamics.simulation.scene_records import Scene
+from closedloop_dynamics.scene.records import Scene
 
 # Numbers of a profile over time that change sign with the coordinate.
 PROFILE = ('offset', 'speed', 'amplitude', 'values', 'rates', 'accelerations')

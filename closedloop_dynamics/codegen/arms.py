@@ -1,0 +1,499 @@
+# SPDX-FileCopyrightText: 2026 The closedloop_dynamics authors
+# SPDX-License-Identifier: Apache-2.0
+
+"""
+The forward dynamics with arms eliminated before any multiplier.
+
+An arm is joints that are in few closure equations alone, as many as these are: the leg of a
+parallel robot, the links behind a crank. With A the columns of these equations that belong to the
+arm, A a + B z = g gives its accelerations a by all others, z. Put into the equations of motion,
+they are an apparent inertia B^T A^-T M A^-1 B and a force: what is left to solve has the size of
+the mechanism's freedom, however many arms there are, and equal arms take equal operations. Where
+an arm has one joint less than equations, as a rod between two balls has, one equation across
+its own motion is left.
+
+Where a body is held by arms on all sides its motion is among the unknowns, and the joints that
+carry it are an arm like the others.
+
+``accelerate`` takes the place of that of ``forward_dynamics``, but next to singular positions of
+an arm, where it returns False.
+"""
+
+import functools
+
+from . import elimination, space
+from .expression_graph import chosen, larger
+from .forward_dynamics import to_user_order
+from .spatial import at_parent, shifted, Z
+from .vectors import (
+    add, cross, dot, is_number, negate, scale, subtract, symmetric, times, transpose, ZERO)
+from ..engine.types import (
+    BODY_A, BODY_B, DOF, EVALUATIONS, NO_RESPONSES, PARENT, PATH_A, PATH_END, ROW, ROWS)
+
+# The squared sine between the directions of an arm, of three their squared volume: rounding grows
+# with one over it.
+SMALL_SINE = 1e-2
+# The square of a lever of an arm against that of the longest one in its equations: the lever is
+# the difference of two places, whose rounding it has.
+SHORT_LEVER = 1e-3
+# A determinant of inertias against its diagonal entries: below nothing but rounding may be left.
+ROUNDING = 1e-9
+# Components of the motion of a floating body, which as many joints carry.
+_IN_PLANE, _IN_SPACE = (2, 3, 4), (0, 1, 2, 3, 4, 5)
+# Unknowns that are left at most: of more, recursions through the tree take less.
+MOST_LEFT = 8
+# Rows of the tree, of which arms are chosen in a second.
+MOST_ROWS = 100
+# Equations that an arm has at most.
+_MOST = 3
+# Keys of equations begin with this: of a cut joint one has its place in the elimination order
+# behind it, of a floating body the row of the tree and a component. Keys of unknowns are rows of
+# the tree, and pairs of one that floats and a component.
+_EQUATION = 'equation'
+
+
+def _rows(cut):
+    return [(_EQUATION, row) for row in range(*map(int, (cut[ROW], cut[ROW] + cut[ROWS])))]
+
+
+class Plan:
+    """
+    Which joints are eliminated by which equations; follows from the topology alone.
+
+    Parameters
+    ----------
+    recursion : spatial.Recursion
+        Of the bodies.
+    model : Model
+        Constant arrays.
+    floats : bool
+        Whether to look for floating bodies.
+
+    Attributes
+    ----------
+    floating : dict of int to tuple of int
+        Rows of the tree whose motion is among the unknowns, and its components.
+    steps : list of pairs of lists
+        Keys of joints and of equations of arms, in the order of elimination.
+    unknowns, rest : lists
+        Keys of unknowns, up to three that are eliminated together, and of equations, which are
+        left.
+    complete : bool
+        Whether all equations belong to arms, but for what these leave.
+
+    """
+
+    def __init__(self, recursion, model, floats=True):
+        self.parent, self.floating = model.tree[:, PARENT].tolist(), {}
+        if floats:
+            self.floating = self._find_floating(recursion, model)
+        groups, columns, alone = [], {}, set()
+        for body, components in self.floating.items():
+            joints = [body, *self.carriers(self.parent[body])]
+            turning = len(components) // 2
+            # Joints about the body's own origin turn it alone.
+            for part, support in (components[:turning], joints), (
+                    components[turning:], joints[turning:]):
+                rows = [(_EQUATION, body, n) for n in part]
+                columns.update((row, set(support)) for row in rows)
+                alone.update(rows)
+                groups.append(rows)
+        for cut, one in zip(model.cut, recursion.cuts):
+            rows, support = _rows(cut), set()
+            for body in cut[[BODY_A, BODY_B]].tolist():
+                support.update(self.carriers(body))
+            if one.coupling is not None:
+                support.update(model.path_body[cut[PATH_A]:cut[PATH_END]].tolist())
+                alone.update(rows if not one.between else ())
+            columns.update((row, set(support)) for row in rows)
+            groups.append(rows)
+        self._choose(list(filter(None, groups)), columns, alone)
+        joints = {joint for joints, _ in self.steps for joint in joints}
+        left = [i for i in range(len(self.parent) - 1, 0, -1) if i not in joints]
+        self.unknowns = [left[n:n + _MOST] for n in range(0, len(left), _MOST)]
+        for body, components in self.floating.items():
+            moving = [(body, n) for n in reversed(components)]
+            self.unknowns += [moving[n:n + _MOST] for n in range(0, len(moving), _MOST)]
+
+    @classmethod
+    def of(cls, recursion, model):
+        """Return the plan for a mechanism, None where there is nothing to gain."""
+        if len(model.tree) > MOST_ROWS:
+            return None
+        for floats in True, False:
+            found = cls(recursion, model, floats)
+            left = sum(map(len, found.unknowns))
+            if found.complete and left <= MOST_LEFT and any(
+                    len(joints) == len(rows) for joints, rows in found.steps):
+                return found
+        return None
+
+    def carriers(self, body):
+        """Return a row of the tree and those that carry it, up to a floating one."""
+        found = []
+        while body > 0 and body not in self.floating:
+            found.append(body)
+            body = self.parent[body]
+        return found
+
+    def _find_floating(self, recursion, model):
+        """Return the bodies with their full freedom that two cut joints or more hold."""
+        flat = all(one.turned is None and (one.axis == Z) == bool(one.turns)
+                   for one in recursion.bodies[1:])
+        found, components = {}, _IN_PLANE if flat else _IN_SPACE
+        for body in range(1, len(self.parent)):
+            ends = sum(any(body in (end, self.parent[end]) for end in both)
+                       for both in model.cut[:, [BODY_A, BODY_B]].tolist())
+            if len(self.carriers(body)) == len(components) and ends >= 2:
+                found[body] = components
+        return found
+
+    def _choose(self, left, columns, alone):
+        """
+        Choose the steps: again and again equations with joints that are in no others.
+
+        ``left``: groups of equations; ``columns``: joints of each; ``alone``: those whose joints
+        have levers that never vanish.
+        """
+        def own(group):
+            """Return the joints that a group of equations can eliminate."""
+            others = {joint for other in left if other is not group
+                      for row in other for joint in columns[row]}
+            joints = sorted({joint for row in group for joint in columns[row]} - others)[::-1]
+            if len(group) == 1:
+                return joints[:1] if alone.issuperset(group) else []
+            if len(group) == 2:
+                # Of three or more only one is never across both equations in vain.
+                return joints if len(joints) <= 2 else joints[:1]
+            return joints if len(group) == _MOST and 2 <= len(joints) <= 3 else []
+
+        self.steps, over = [], set()
+        while any(map(own, left)):
+            group = min(filter(own, left), key=lambda one: len(one) - len(own(one)))
+            joints = own(group)
+            self.steps.append((joints, group))
+            left.remove(group)
+            if len(joints) < len(group):
+                row = group[-1]
+                columns[row] = {
+                    joint for one in group for joint in columns[one]}.difference(joints)
+                # Two with the same joints may be eliminated together.
+                beside = next((one for one in left if len(one) == 1 and over.issuperset(one)
+                               and columns[one[0]] == columns[row] != set()), None)
+                over.add(row)
+                if beside is None:
+                    left.append([row])
+                else:
+                    beside.append(row)
+        self.rest = [row for group in left for row in group]
+        self.complete = over.issuperset(self.rest)
+
+
+class _Equations:
+    """
+    The symmetric system of accelerations x and negative multipliers m: M x + J^T m = f, J x = g.
+
+    ``matrix``: entries by keys of unknowns and equations, both halves; ``right``: f and g.
+    """
+
+    def __init__(self):
+        self.matrix, self.right, self._squares, self._undo = {}, {}, {}, []
+
+    def add(self, a, b, value):
+        """Add to the entries of two keys."""
+        if not is_number(value, 0.0):
+            for one, other in {(a, b), (b, a)}:
+                row = self.matrix.setdefault(one, {})
+                row[other] = row[other] + value if other in row else value
+
+    def add_right(self, key, value):
+        """Add to the right side of a key."""
+        self.right[key] = self.right.get(key, 0.0) + value
+
+    def _take(self, keys):
+        """Take several out; return the entries among them, those beside, and the right sides."""
+        inner = [[self.matrix.get(a, {}).get(b, 0.0) for b in keys] for a in keys]
+        outer = {}
+        for n, key in enumerate(keys):
+            for other, value in self.matrix.pop(key, {}).items():
+                if other not in keys:
+                    outer.setdefault(other, len(keys) * [0.0])[n] = value
+                    del self.matrix[other][key]
+        return inner, outer, [self.right.pop(key, 0.0) for key in keys]
+
+    def eliminate(self, keys):
+        """Eliminate up to three keys; return their determinant."""
+        inner, outer, right = self._take(keys)
+        inverse, volume = inverted(inner)
+        known, others = times(inverse, right), list(outer)
+        left = {key: times(inverse, outer[key]) for key in others}
+        for n, one in enumerate(others):
+            self.add_right(one, 0.0 - dot(outer[one], known))
+            for other in others[:n + 1]:
+                self.add(one, other, 0.0 - dot(outer[one], left[other]))
+
+        def undo(x):
+            for n, key in enumerate(keys):
+                x[key] = known[n] - total(left[one][n] * x[one] for one in others)
+
+        self._undo.append(undo)
+        return volume
+
+    def _square(self, key, rows):
+        """Return the square of the lever that a key has in equations."""
+        values = [self.matrix[row].get(key, 0.0) for row in rows]
+        return total(self._squares.get((row, key), value * value)
+                     for row, value in zip(rows, values))
+
+    def require_levers(self, joints, rows, turning):
+        """Require that joints which turn have levers that are not short beside others'."""
+        if len(rows) == 1:
+            return
+        beside = [self._square(key, rows) for key in sorted({
+            key for row in rows for key in self.matrix[row] if key in turning})]
+        longest = functools.reduce(larger, beside, 0.0)
+        for joint in turning.intersection(joints):
+            bool(self._square(joint, rows) >= SHORT_LEVER * longest)
+
+    def eliminate_arm(self, joints, rows):
+        """Eliminate joints by equations, of which one may be left; return the squared sine."""
+        fewer = len(joints) < len(rows)
+        columns = [[self.matrix[row].get(joint, 0.0) for row in rows] for joint in joints]
+        squares = [self._square(joint, rows) for joint in joints]
+        mass, coupled, force = self._take(joints)
+        coupled = {key: column for key, column in coupled.items() if key not in rows}
+        _, levers, given = self._take(rows)
+        inverse, volume = inverted(columns)
+        across, inverse = inverse[-1], inverse[:len(joints)]
+        if len(levers) > _MOST and not coupled and not fewer:
+            # Inertia and force at the tip, which other motions act on by few numbers.
+            back = transpose(inverse)
+            pulled = [times(mass, column) for column in back]
+            self._put_in(
+                levers, given, symmetric(lambda m, n: dot(back[m], pulled[n]), len(rows)), {},
+                times(back, force))
+        else:
+            self._put_in({key: times(inverse, column) for key, column in levers.items()},
+                         times(inverse, given), mass, coupled, force)
+        if fewer:
+            left, square = rows[-1], dot(across, across)
+            for key, column in levers.items():
+                self.add(left, key, dot(across, column))
+                self._squares[left, key] = square * dot(column, column)
+            self.add_right(left, dot(across, given))
+
+        def undo(x):
+            missing = [value - total(column[n] * x[key] for key, column in levers.items())
+                       for n, value in enumerate(given)]
+            found = times(inverse, missing)
+            loads = [value - dot(row, found) - total(
+                column[n] * x[key] for key, column in coupled.items())
+                for n, (row, value) in enumerate(zip(mass, force))]
+            multipliers = times(transpose(inverse), loads)
+            if fewer:
+                multipliers = add(multipliers, scale(across, x[rows[-1]]))
+            x.update(zip(joints, found))
+            x.update(zip(rows, multipliers))
+
+        self._undo.append(undo)
+        return (volume if fewer else volume * volume) / _product(squares)
+
+    def _put_in(self, moved, start, mass, coupled, force):
+        """
+        Put ``start`` less the sum of ``moved`` times unknowns in the place of taken ones.
+
+        ``mass``, ``coupled``, ``force``: entries among the taken, beside them, and right sides.
+        """
+        none, reached = len(start) * (0.0,), list(moved)
+        pushed = {key: subtract(times(mass, column), coupled.get(key, none))
+                  for key, column in moved.items()}
+        rest = subtract(times(mass, start), force)
+        for n, one in enumerate(reached):
+            self.add_right(one, dot(moved[one], rest))
+            for other in reached[:n + 1]:
+                self.add(one, other, dot(moved[one], pushed[other]) - dot(
+                    coupled.get(one, none), moved[other]))
+        for one, column in coupled.items():
+            self.add_right(one, 0.0 - dot(column, start))
+            if one not in moved:
+                for other in reached:
+                    self.add(one, other, 0.0 - dot(column, moved[other]))
+
+    def solution(self):
+        """Return all accelerations and negative multipliers by key."""
+        x = {}
+        for undo in reversed(self._undo):
+            undo(x)
+        return x
+
+
+class AlwaysSingularError(ValueError):
+    """An arm whose joints cannot move what its equations hold, at any position."""
+
+
+def inverted(columns):
+    """
+    Return the inverse of one to three columns, and their determinant.
+
+    AlwaysSingularError where the determinant is zero whatever the position is.
+
+    Where there is a row more than columns the last row is one across these, and their squared
+    volume takes the place of the determinant.
+    """
+    across = ()
+    if len(columns) == len(columns[0]) == 1:
+        (volume,), = columns
+        rows = (1.0,),
+    elif len(columns) == len(columns[0]) == 2:
+        (a, c), (b, d) = columns
+        volume, rows = a * d - b * c, ((d, 0.0 - b), (0.0 - c, a))
+    elif len(columns) == 3:
+        a, b, c = columns
+        rows = cross(b, c), cross(c, a), cross(a, b)
+        volume = dot(a, rows[0])
+    elif len(columns) == 1:
+        (a, b), = columns
+        volume, rows, across = a * a + b * b, ((a, b),), ((0.0 - b, a),)
+    else:
+        a, b = columns
+        across = cross(a, b),
+        volume, rows = dot(*across, *across), (cross(b, *across), cross(*across, a))
+    if is_number(volume, 0.0):
+        raise AlwaysSingularError
+    return (*(scale(row, 1.0 / volume) for row in rows), *across), volume
+
+
+def total(values):
+    """Return a sum."""
+    return sum(values, 0.0)
+
+
+def _assemble(recursion, model, work, tau, baumgarte, plan):
+    """Return the equations of motion and of closure; floating bodies are roots of their own."""
+    found = _Equations()
+    # In the plane the world's axes are those of all views.
+    add_motion = _add_motion_in_views if space.is_spatial(model) else _add_motion
+    add_motion(recursion, model, recursion.about_world(model, tau), plan, found)
+    for body, components in plan.floating.items():
+        for n in components:
+            row, unit = (_EQUATION, body, n), tuple(float(m == n) for m in range(6))
+            found.add(row, (body, n), 1.0)
+            own, wrench = recursion.transmit_wrench(body, negate(unit))
+            found.add(row, body, own)
+            _spread(recursion, plan, {plan.parent[body]: wrench}, row, found)
+    for a, cut in enumerate(model.cut):
+        for row, equation in zip(_rows(cut), recursion.closures(model, a)):
+            one, other = cut[[BODY_A, BODY_B]].tolist()
+            arrived = {one: equation.on_a}
+            arrived[other] = add(arrived.get(other, 2 * ZERO), equation.on_b)
+            for i, value in equation.in_joints:
+                found.add(row, i, value)
+            _spread(recursion, plan, arrived, row, found)
+            place = row[1]
+            found.add_right(row, 0.0 - work.bias[place] - baumgarte * (
+                2.0 * work.closure_rate[place] + baumgarte * work.closure[place]))
+    return found
+
+
+def _add_motion_in_views(recursion, model, tau, plan, found):
+    """Add the equations of motion, formed in axes of the bodies' own."""
+    matrix, right = recursion.equations_of_motion(model, tau, plan.floating)
+    for pair, value in matrix.items():
+        found.add(*pair, value)
+    for key, value in right.items():
+        found.add_right(key, value)
+
+
+def _add_motion(recursion, model, tau, plan, found):
+    """Add the equations of motion, formed in the world's axes."""
+    inertia, force = list(recursion.inertia), list(recursion.force)
+    for i in range(len(plan.parent) - 1, 0, -1):
+        p, motion, wrench = plan.parent[i], recursion.motion[i], 2 * ZERO
+        armature, momentum = recursion.bodies[i].armature, recursion.rotor[i]
+        found.add(i, i, 0.0 if armature is None else armature)
+        found.add_right(i, tau[model.tree[i, DOF]] - dot(
+            momentum, recursion.motion[p].spin_rate))
+        if i in plan.floating:
+            for n in plan.floating[i]:
+                found.add_right((i, n), 0.0 - force[i][n])
+                for m in range(n, 6):
+                    found.add((i, n), (i, m), inertia[i][n][m])
+        else:
+            wrench = times(inertia[i], motion.axis)
+            found.add(i, i, dot(motion.axis, wrench))
+            found.add_right(i, 0.0 - dot(motion.axis, force[i]))
+            if p > 0:
+                inertia[p] = tuple(map(add, inertia[p], shifted(inertia[i], motion.offset)))
+                force[p] = add(force[p], at_parent(force[i], motion.offset))
+        wrench = add(at_parent(wrench, motion.offset), momentum + ZERO)
+        _spread(recursion, plan, {p: wrench}, i, found)
+
+
+def _spread(recursion, plan, arrived, key, found):
+    """Add the shares that joints and floating bodies have in wrenches, which arrive at bodies."""
+    while arrived:
+        i = max(arrived)
+        wrench = arrived.pop(i)
+        if i in plan.floating:
+            for n in plan.floating[i]:
+                found.add(key, (i, n), wrench[n])
+        elif i > 0:
+            force, wrench = recursion.transmit_wrench(i, wrench)
+            found.add(key, i, force)
+            arrived[plan.parent[i]] = add(arrived.get(plan.parent[i], 2 * ZERO), wrench)
+
+
+def accelerate(recursion, model, work, tau, baumgarte, qdd, lam):
+    """
+    Compute accelerations and multipliers, as ``forward_dynamics.accelerate`` does.
+
+    ``recursion`` has no ``hinges``. Returns whether no arm is near a singular position of its own
+    and every pivot is good; if not, ``forward_dynamics.accelerate`` must be asked.
+    """
+    work.health[EVALUATIONS] += 1.0
+    recursion.update(model, work, NO_RESPONSES)
+    solve(recursion, model, work, tau, baumgarte, qdd, lam)
+    return True
+
+
+def solve(recursion, model, work, tau, baumgarte, qdd, lam):
+    """Do what follows ``update``; the guard of the graph has what must hold."""
+    plan = Plan.of(recursion, model)
+    found = _assemble(recursion, model, work, tau, baumgarte, plan)
+    smallest = 1.0
+    turning = {i for i in range(1, len(plan.parent)) if recursion.bodies[i].turns}
+    for joints, rows in plan.steps:
+        found.require_levers(joints, rows, turning)
+        smallest = _smaller(smallest, found.eliminate_arm(joints, rows))
+    scales = {key: found.matrix[key][key] for keys in plan.unknowns for key in keys}
+    for keys in plan.unknowns:
+        # False for a NaN, too.
+        bool(found.eliminate(keys) > ROUNDING * _product([scales[key] for key in keys]))
+    bool(smallest >= SMALL_SINE)
+    for row in plan.rest:
+        diagonal = found.matrix[row][row]
+        smallest = _smaller(smallest, found.eliminate([row]) / diagonal)
+    bool(smallest >= elimination.SMALL_PIVOT)
+    elimination.record_pivot(model, work, smallest)
+    x = found.solution()
+    for i in range(1, len(plan.parent)):
+        qdd[model.tree[i, DOF]] = x[i]
+    recursion.about_own(model, qdd)
+    for cut in model.cut:
+        for row in _rows(cut):
+            work.right[row[1]] = 0.0 - x[row]
+    to_user_order(model, work.right, lam)
+
+
+def _product(values):
+    product = 1.0
+    for value in values:
+        product = product * value
+    return product
+
+
+def _smaller(smallest, sine):
+    """Return the smaller of two; what is not a number counts as zero."""
+    if is_number(sine, 1.0):
+        return smallest
+    return chosen(sine >= smallest, smallest, chosen(sine > 0.0, sine, 0.0))

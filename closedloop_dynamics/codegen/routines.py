@@ -1,0 +1,500 @@
+# SPDX-FileCopyrightText: 2026 The closedloop_dynamics authors
+# SPDX-License-Identifier: Apache-2.0
+
+"""Traced routines: the evaluation of a state, and the correction of its drift."""
+
+import hashlib
+import math
+
+import numpy as np
+
+from . import (
+    arms, cache, elimination, embedding, forward_dynamics, joint_forces, joint_space, plane,
+    refinement, space)
+from .expression_graph import (
+    ADD, ARCTANGENT, CALL, DIVIDE, EXPONENTIAL, ExpressionGraph, graph_of, LOAD, LOGARITHM,
+    MULTIPLY, NEGATE, POWER, Q, QD, Routine, SQUARE_ROOT, SUBTRACT, TooManyOperations)
+from .function_table import (
+    ACCELERATION, BAUMGARTE, BIAS, BODY, CLOSURE, CLOSURE_RATE, CORRECTION, CORRECTIONS, CUT_POINT,
+    ENERGIES, EVALUATION, FACTORS, GRAVITY, HEALTH, JACOBIAN, JOINT_POINT, LAM, LAM_OF_ALL,
+    LEAST_FORCES, LEFT_OUT, LOOP_EQUATIONS, OUTWARD, QDD, REACTION, REACTIONS,
+    REFINED_ACCELERATION, REFINED_CORRECTION, TAU, TORQUE_RESPONSE, WORK_BODY, WRENCH, WRENCHES)
+from .linear_map import divided
+from .machine_code import machine_code, PACKED
+from .rows import by_column, columns_of, matrix, six
+from .vectors import in_space, times, transpose
+from .workspace import zeros_like_workspace
+from ..engine import native
+from ..engine.types import (
+    CARRIED, CUT_ROW, DOF, NO_RESPONSES, number_of_coordinates, PATH_A, PATH_END, RHS, ROW, ROWS,
+    TYPE)
+
+NAMES = {EVALUATION: 'evaluation', OUTWARD: 'outward', ACCELERATION: 'acceleration',
+         CORRECTION: 'correction', REFINED_ACCELERATION: 'refined_acceleration',
+         REFINED_CORRECTION: 'refined_correction', REACTIONS: 'reactions',
+         WRENCHES: 'wrenches', LEAST_FORCES: 'least_forces',
+         LOOP_EQUATIONS: 'loop_equations', LEFT_OUT: 'left_out', ENERGIES: 'energies',
+         TORQUE_RESPONSE: 'torque_response'}
+
+
+def topology(model):
+    """
+    Return the key of a mechanism's routines: its topology and structural numbers.
+
+    Masses, lengths and gravity may change later.
+    """
+    spatial = space.is_spatial(model)
+    structure = (space if spatial else plane).structure(model)
+    tree = model.tree if spatial else model.tree[:, :TYPE + 1]
+    arrays = (*structure, tree, model.cut, model.path_body, model.pair, model.block,
+              model.column, model.row, model.entry, model.dependency, model.dependency_place)
+    return tuple((array.shape, array.tobytes()) for array in arrays)
+
+
+# Of a trace more is recorded than its routine needs; up to so many times as much.
+RECORDED = 2
+# Place of the mechanism's size behind Baumgarte's rate among the settings of a system.
+_SIZE = 4
+_addresses, sizes = {}, {}
+# Operations by methods for mechanisms without arms, of which the shorter one is taken, and rows of
+# the tree up to which both are traced; methods that work on the equations of motion.
+_by_joints, BY_JOINTS, MOST_ROWS = {}, (forward_dynamics, joint_space), 20
+IN_JOINTS = arms, joint_space
+
+
+def addresses(model, which, form=PACKED, joints=None):
+    """
+    Return the addresses of a mechanism's routines, compiled unless they are stored.
+
+    By places in the function table; ``form`` is that of ``machine_code``; ``joints`` are those of
+    which least forces are found.
+    """
+    key = topology(model), form
+    # Of each mechanism those that were asked for, whichever were asked for together.
+    known = _addresses.setdefault(key, {})
+    one_by_one = {one: (one, joint_forces.structure(model, joints)) if one == LEAST_FORCES else one
+                  for one in which}
+    missing = tuple(one for one in which if one_by_one[one] not in known)
+    if missing:
+        find = machine_code(
+            (key, tuple(one_by_one[one] for one in missing)),
+            lambda: [MechanismTrace(model, joints).routine(one) for one in missing], form,
+            len(missing))
+        known.update((one_by_one[one], find(NAMES[one])) for one in missing)
+    return {one: known[one_by_one[one]] for one in which}
+
+
+def with_torque_response(model, form=PACKED):
+    """
+    Return what the accelerations of a mechanism are, and what torques add to them.
+
+    Returns
+    -------
+    dict
+        By places in the function table: addresses of ACCELERATION, which keeps its factors, and of
+        TORQUE_RESPONSE, from torques at q to accelerations and multipliers at qd; how many FACTORS
+        are kept. Empty where arms are eliminated: next to singular ones they keep others.
+
+    """
+    key = 'torque response', topology(model), form
+    if key not in _addresses:
+        trace = MechanismTrace(model)
+        found = _addresses[key] = {}
+        if not trace.with_arms:
+            find = machine_code(key, trace.with_torque_response, form, 2)
+            count = np.zeros(1)
+            native.call(np.array([find('count')]), 0, count, count)
+            found.update({one: find(NAMES[one]) for one in (ACCELERATION, TORQUE_RESPONSE)})
+            found[FACTORS] = int(count[0])
+    return _addresses[key]
+
+
+def unrolled_size(model, most):
+    """
+    Return how many operations an evaluation is, as ``operations``; infinity where more than most.
+
+    It is traced once, and kept on disk as code is; no more than ``most`` operations are recorded.
+    """
+    key = topology(model), most
+    if key not in sizes:
+        name = f'size.{hashlib.sha256(repr(key).encode()).hexdigest()[:32]}'
+        stored = cache.read(name)
+        if stored is None:
+            try:
+                stored = str(operations(model, RECORDED * most)).encode()
+            except TooManyOperations:
+                stored = b'inf'
+            cache.write(name, stored)
+        sizes[key] = float(stored)
+    return sizes[key]
+
+
+def operations(model, most=math.inf):
+    """
+    Count the operations of an evaluation, before anything is compiled.
+
+    Additions, subtractions, multiplications, divisions and negations; ``most`` are recorded.
+    """
+    trace = MechanismTrace(model, most=most)
+    method = trace.method()
+    return _by_joints.get(topology(model), {}).get(method) or count_operations(
+        trace.traced(EVALUATION))
+
+
+def count_operations(routine):
+    """Return the same number of any routine; roots, functions and searches count as one each."""
+    kinds = (ADD, SUBTRACT, MULTIPLY, DIVIDE, NEGATE, SQUARE_ROOT, EXPONENTIAL, LOGARITHM,
+             ARCTANGENT, POWER, CALL)
+    return sum(routine.graph.operations[place][0] in kinds for place in routine.needed())
+
+
+def shorter(model):
+    """
+    Return the one of ``BY_JOINTS`` by which an evaluation takes fewer operations.
+
+    In the plane the operations are as many; there articulated bodies leave exact zeros.
+    """
+    if len(model.tree) > MOST_ROWS or not space.is_spatial(model):
+        return forward_dynamics
+    key = topology(model)
+    if key not in _by_joints:
+        _by_joints[key] = {by: count_operations(MechanismTrace(
+            model, with_arms=False, by=by).traced(EVALUATION)) for by in BY_JOINTS}
+    return min(BY_JOINTS, key=_by_joints[key].get)
+
+
+class MechanismTrace:
+    """
+    One mechanism with symbols in the place of all numbers that may change.
+
+    ``joints``: of which ``least_forces`` are found, and what is ``left_out``; ``with_arms``:
+    whether accelerations are found by ``arms`` where there are any; ``most``: operations that may
+    be recorded; ``by``: the module that finds accelerations where no arms and ``embedding`` do,
+    by default that of fewer operations.
+    """
+
+    def __init__(self, model, joints=None, with_arms=True, most=math.inf, by=None):
+        self.graph, self.joints = ExpressionGraph(most), joints
+        self.nv, self.nc = len(model.tree) - 1, len(model.column) - 1
+        self.constant = model
+        self.model = model.replaced(
+            body=self.symbols(BODY, model.body.shape),
+            gravity=self.symbols(GRAVITY, model.gravity.shape),
+            cut_point=self.cut_points())
+        work = zeros_like_workspace(model)
+        self.work = work.replaced(health=self.symbols(HEALTH, work.health.shape))
+        self.q = self.symbols(Q, (number_of_coordinates(model),))
+        self.qd = self.symbols(QD, (self.nv,))
+        self.outputs = []
+        # What the arrays hold, of a mechanism in space or in the plane.
+        self.arrays = space if space.is_spatial(model) else plane
+        bodies = self.arrays.bodies(model, self.model.body)
+        cuts = self.arrays.cuts(model, self.model.cut_point)
+        self.recursion = joint_space.JointSpace(
+            bodies, cuts, (*self.model.gravity, *(3 - len(model.gravity)) * (0.0,)),
+            space.hinges(model, bodies, cuts) if self.arrays is space else ())
+        self.with_arms = with_arms and arms.Plan.of(self.recursion, model) is not None
+        self.by = by
+
+    def cut_points(self):
+        """Return symbols for ``Model.cut_point``."""
+        return self.symbols(CUT_POINT, self.constant.cut_point.shape)
+
+    def symbols(self, source, shape):
+        """Return an array of numbers to be read from an input."""
+        array = np.empty(shape, dtype=object)
+        for place in range(array.size):
+            array.flat[place] = self.graph.put(LOAD, source, place)
+        return array
+
+    def store(self, source, values, first=0):
+        """Add an array to an output, except entries that were read from there."""
+        for place, value in enumerate(values.flat, start=first):
+            if not (hasattr(value, 'place')
+                    and self.graph.operations[value.place] == (LOAD, source, place)):
+                self.outputs.append((source, place, value))
+
+    def routine(self, which):
+        """Return one of the routines; a trace serves for one."""
+        found = self.traced(which)
+        if self.by_arms:
+            found.otherwise = self.without_arms().routine(which)
+            found.otherwise.name = f'{NAMES[which]}_next_to_singular_arms'
+        return found
+
+    def traced(self, which):
+        """Return the same as it is traced, without what does it otherwise."""
+        self.by_arms = False
+        if which in (EVALUATION, ACCELERATION) and self.method() in IN_JOINTS:
+            self.recursion.hinges = ()
+        try:
+            getattr(self, NAMES[which])()
+        except arms.AlwaysSingularError:
+            self.by_arms = False
+            return self.without_arms().traced(which)
+        return Routine(NAMES[which], self.graph, self.outputs)
+
+    def with_torque_response(self):
+        """Return ACCELERATION, TORQUE_RESPONSE, and how many factors it has, at q."""
+        acceleration, solution = self.routine(ACCELERATION), zeros(self.nv + self.nc)
+        for source, place, value in acceleration.outputs:
+            if source in (QDD, LAM):
+                solution[place + (self.nv if source == LAM else 0)] = value
+        found, factors = divided(self.graph, solution, TAU, FACTORS)
+        acceleration.outputs += [(FACTORS, n, value) for n, value in enumerate(factors)]
+        return [acceleration, Routine(NAMES[TORQUE_RESPONSE], graph_of(found), [
+            (QD, n, value) for n, value in enumerate(found)]), Routine(
+                'count', ExpressionGraph(), [(Q, 0, float(len(factors)))])]
+
+    def without_arms(self):
+        """Return a trace of the same with all multipliers."""
+        return MechanismTrace(self.constant, self.joints, with_arms=False)
+
+    def evaluation(self):
+        """Accelerations and multipliers of a state where nothing but gravity and torques acts."""
+        self.move()
+        self.store_accelerations(*self.accelerate())
+        self.store_closures()
+
+    def move(self):
+        """
+        Run the outward recursion before accelerations, which in space add forces of motion then.
+
+        In the plane their axes are the world's, too, and accelerations those of two parts.
+        """
+        self.recursion.apart = self.arrays is space and self.method() in IN_JOINTS
+        self.recursion.outward(self.model, self.q, self.qd, self.work)
+
+    def outward(self):
+        """Poses, velocities and inertial forces, to which effects add."""
+        # They are given the axes of all joints.
+        self.recursion.hinges = ()
+        self.recursion.outward(self.model, self.q, self.qd, self.work)
+        self.write()
+        self.store(WORK_BODY, self.work.body)
+
+    def write(self):
+        """Write motion and forces, in the plane inertias, too, into the rows of the bodies."""
+        one, arrays = self.recursion, self.arrays
+        for row, motion, inertia, force in zip(
+                self.work.body, one.motion, one.inertia, one.force):
+            columns = columns_of(motion, arrays.MOTION)
+            if force is not None:
+                columns.update(by_column(force, arrays.FORCES))
+            if arrays is plane and inertia is not None:
+                columns.update(by_column(inertia, arrays.INERTIAS))
+            for place, value in columns.items():
+                if arrays is plane or place < space.OFFSET:
+                    row[place] = value
+
+    def read(self):
+        """Read the rows of ``write`` back, as effects have changed them."""
+        one, arrays, body = self.recursion, self.arrays, self.symbols(
+            WORK_BODY, self.work.body.shape)
+        if arrays is space:
+            # Less is read than is computed again.
+            one.outward(self.model, self.q, self.qd, self.work)
+            one.force = [None, *(six(row, arrays.FORCES) for row in body[1:])]
+            return
+        self.read_motion()
+        one.inertia = [None, *(matrix(row, arrays.INERTIAS) for row in body[1:])]
+
+    def read_motion(self):
+        """Read kinematics and forces back from the rows of ``write``, without inertias."""
+        one, arrays, body = self.recursion, self.arrays, self.symbols(
+            WORK_BODY, self.work.body.shape)
+        one.hinges = ()
+        if arrays is space:
+            one.outward(self.model, self.q, self.qd, self.work,
+                        lambda i, motion: space.with_written(motion, body[i]))
+        else:
+            one.load_coordinates(self.model, self.q, self.qd)
+            one.ground = one.ground._replace(
+                acceleration=plane.motion_of(body[0], one.bodies[0], one.ground).acceleration)
+            one.motion = [one.ground, *(arrays.motion_of(row, each, one.ground)
+                                        for row, each in zip(body[1:], one.bodies[1:]))]
+        one.force = [None, *(six(row, arrays.FORCES) for row in body[1:])]
+
+    def acceleration(self, by=None):
+        """Accelerations and multipliers after ``outward`` and the effects."""
+        self.read()
+        self.store_accelerations(*self.accelerate(by))
+        self.store_closures()
+
+    def refined_acceleration(self):
+        """Accelerations with iterative refinement, joint by joint."""
+        self.recursion.hinges = ()
+        self.acceleration(refinement)
+
+    def method(self):
+        """Return the module whose ``accelerate`` is the cheapest."""
+        if self.with_arms:
+            self.by_arms = True
+            return arms
+        if self.embeds():
+            return embedding
+        if self.by is None:
+            self.by = shorter(self.constant)
+        return self.by
+
+    def embeds(self):
+        """Return whether loops close on bodies: they are eliminated there."""
+        return any(embedding.closing_bodies(self.recursion, self.constant))
+
+    def accelerate(self, by=None, tau=None):
+        """
+        Trace the forward dynamics.
+
+        Parameters
+        ----------
+        by : module, optional
+            The cheaper one by default.
+        tau : ndarray, shape (nv,), optional
+            Torques in the joints; an input where not said.
+
+        Returns
+        -------
+        tuple of 2 ndarrays, shapes (nv,) and (nc,)
+            Accelerations and multipliers, to be stored.
+
+        """
+        if by is None:
+            by = self.method()
+        baumgarte = self.symbols(BAUMGARTE, (1,))[0]
+        qdd, lam = zeros(self.nv), zeros(self.nc)
+        if tau is None:
+            tau = self.symbols(TAU, (self.nv,))
+        bool(by.accelerate(self.recursion, self.model, self.work, tau, baumgarte, qdd, lam))
+        self.store(HEALTH, self.work.health)
+        return qdd, lam
+
+    def store_closures(self):
+        """Add how far the loops are open, and how fast they open, to the outputs."""
+        self.store(CLOSURE, self.work.closure)
+        self.store(CLOSURE_RATE, self.work.closure_rate)
+
+    def store_accelerations(self, qdd, lam):
+        """Add accelerations and multipliers to the outputs."""
+        self.store(QDD, qdd)
+        self.store(LAM, lam)
+
+    def response(self, tau):
+        """Return the accelerations and multipliers that torques alone add, at this position."""
+        recursion = joint_space.JointSpace(
+            self.recursion.bodies, self.recursion.cuts, (0.0, 0.0, 0.0), self.recursion.hinges)
+        recursion.apart = self.recursion.apart
+        work = zeros_like_workspace(self.constant)
+        recursion.outward(self.model, self.q, zeros(self.nv), work)
+        qdd, lam = zeros(self.nv), zeros(self.nc)
+        bool(self.method().accelerate(
+            recursion, self.model, work, tau, 0.0, qdd, lam))
+        return qdd, lam
+
+    def reactions(self):
+        """Sum up the forces in the joints of the trees, after the accelerations."""
+        self.recursion.hinges = ()
+        self.read()
+        found = joint_forces.wrenches(
+            self, self.world_accelerations(), self.symbols(LAM, (self.nc,)),
+            joint_forces.closures_of(self, False))
+        self.store_wrenches(REACTION, found, first=3)
+
+    def wrenches(self):
+        """Sum up the whole wrenches, with the multipliers of all equations."""
+        self.read_motion()
+        closures = joint_forces.closures_of(self, True)
+        lam = self.symbols(LAM if len(closures) == self.nc else LAM_OF_ALL, (len(closures),))
+        found = joint_forces.wrenches(self, self.world_accelerations(), lam, closures)
+        self.store_wrenches(WRENCH, found)
+
+    def store_wrenches(self, source, found, first=0):
+        """Add wrenches in the joints to an output, or their components from one on."""
+        width = 2 * len(self.arrays.FORCES)
+        for i, wrench in enumerate(found):
+            for place, component in enumerate(self.arrays.FORCES):
+                if i > 0 and component >= first:
+                    self.outputs.append((source, i * width + place, wrench[component]))
+
+    def world_accelerations(self):
+        """Return the accelerations, those of spherical joints about the world's axes."""
+        qdd = self.symbols(QDD, (self.nv,))
+        for frame, turns in self.recursion.balls(self.constant):
+            qdd[turns] = times(frame, qdd[turns])
+        return qdd
+
+    def least_forces(self):
+        """Find the multipliers of all equations, after the accelerations."""
+        self.read_motion()
+        found = joint_forces.least_forces(
+            self, self.world_accelerations(), self.symbols(LAM, (self.nc,)))
+        self.outputs += [(LAM_OF_ALL, n, value) for n, value in enumerate(found)]
+
+    def left_out(self):
+        """Note whether accelerations fulfil the equations that are left out."""
+        self.recursion.hinges = ()
+        self.recursion.outward(self.model, self.q, self.qd, self.work)
+        joint_forces.require_left_out(self, self.world_accelerations())
+
+    def loop_equations(self):
+        """Closure errors, velocity terms dJ/dt qd and Jacobian J, in the user's order."""
+        model, work, one = self.model, self.work, self.recursion
+        one.hinges = ()
+        one.outward(model, self.q, self.qd, work)
+        one.update(model, work, CARRIED)
+        closure, bias, jac = zeros(self.nc), zeros(self.nc), zeros(self.nc, self.nv)
+        for cut in model.cut:
+            for k in range(cut[ROWS]):
+                place, row = cut[CUT_ROW] + k, jac[cut[CUT_ROW] + k]
+                closure[place], bias[place] = work.closure[cut[ROW] + k], work.bias[cut[ROW] + k]
+                for entry in range(cut[PATH_A], cut[PATH_END]):
+                    row[model.tree[model.path_body[entry], DOF]] = work.response[entry, k]
+                for frame, turns in one.balls(model):
+                    row[turns] = times(transpose(frame), row[turns])
+        for source, values in ((CLOSURE, closure), (BIAS, bias), (JACOBIAN, jac)):
+            self.store(source, values)
+
+    @property
+    def size(self):
+        """Size of the mechanism [m]."""
+        return self.graph.put(LOAD, BAUMGARTE, _SIZE)
+
+    def joint_point(self, n):
+        """Return a joint's point in the frame of a body's row."""
+        point = self.joints.point[n]
+        return in_space(tuple(
+            self.graph.put(LOAD, JOINT_POINT, n * len(point) + k) if value != 0.0 else 0.0
+            for k, value in enumerate(point)))
+
+    def refined_correction(self):
+        """Corrections with iterative refinement, for links much lighter than others."""
+        self.recursion.hinges = ()
+        self.correction(refinement)
+
+    def correction(self, by=None):
+        """Least changes of coordinates and of rates that close the loops, one after the other."""
+        model, work = self.model, self.work
+        self.recursion.outward(model, self.q, self.qd, work)
+        embeds = by is None and self.embeds()
+        if embeds:
+            self.recursion.update(model, work, NO_RESPONSES)
+        else:
+            bool((by or forward_dynamics).prepare(self.recursion, model, zeros(self.nv), work))
+        for n, error in enumerate((work.closure, work.closure_rate)):
+            out = zeros(self.nv)
+            if embeds:
+                bool(embedding.correct(self.recursion, model, work, error, out))
+            else:
+                right = -error
+                elimination.solve(model, work, right)
+                work.body[:, RHS] = 0.0
+                forward_dynamics.apply(model, work, right)
+                self.recursion.outward_acceleration(model, work, out)
+            self.store(CORRECTIONS, out, n * self.nv)
+        self.store(CLOSURE, work.closure)
+        self.store(CLOSURE_RATE, work.closure_rate)
+        self.store(HEALTH, work.health)
+
+
+def zeros(*shape):
+    """Return an array of zeros that may hold symbols."""
+    return np.full(shape, 0.0, dtype=object)

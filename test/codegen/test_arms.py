@@ -1,0 +1,156 @@
+# SPDX-FileCopyrightText: 2026 The closedloop_dynamics authors
+# SPDX-License-Identifier: Apache-2.0
+
+"""Arms eliminated before multipliers give the motion of dense matrices, or step aside."""
+
+import ctypes
+
+from closedloop_dynamics.codegen import function_table as calls, lanes, routines, space
+from closedloop_dynamics.codegen.arms import Plan
+from closedloop_dynamics.engine import types as t
+from closedloop_dynamics.integration.system import build_system, number_of_states
+from closedloop_dynamics.scene.loading import load_scene
+from closedloop_dynamics.simulation.simulation import Simulation
+import numpy as np
+import pytest
+
+from .spatial_engine import _array, _inputs, interpret
+from ..reference.compare import assert_agree
+from ..reference.numbers import Numbers
+
+# Arms of two links, links between others, gears; legs of three joints, rods in parallelograms.
+PLANAR = 'three_rrr', 'carpet_scraper', 'excavator_arm', 'planetary_gear', 'geared_five_bar'
+SPATIAL = 'stewart_platform', 'delta_robot'
+# Rows of the tree that bring an arm to a singular position of its own, and where: a leg stretched
+# and folded, a leg and a rod along the first axis of their universal joints.
+SINGULAR = [('three_rrr', 2, 0.0), ('three_rrr', 2, np.pi), ('stewart_platform', 2, 0.5 * np.pi),
+            ('stewart_platform', 8, 0.5 * np.pi), ('delta_robot', 11, 0.5 * np.pi)]
+
+
+def trace(model, with_arms=True):
+    return routines.MechanismTrace(model, with_arms=with_arms)
+
+
+def drawn(name, seed=0, spread=0.3):
+    """Return the model of a shipped scene, and coordinates (loops open), rates and torques."""
+    simulation = Simulation(load_scene(name))
+    rng, nv = np.random.default_rng(seed), len(simulation.velocity)
+    q = simulation.position + spread * rng.uniform(-1.0, 1.0, len(simulation.position))
+    return simulation.data.system.model, q, rng.normal(size=nv), rng.normal(size=nv)
+
+
+def evaluated(model, q, qd, tau, with_arms=True, kind=float):
+    """Return accelerations, multipliers, and whether they are good; interpreted."""
+    inputs = {source: np.asarray(array, dtype=kind)
+              for source, array in _inputs(model, q, qd, tau).items()}
+    outputs, good = interpret(trace(model, with_arms).routine(calls.EVALUATION), inputs)
+    return (_array(outputs, calls.QDD, len(qd)), _array(
+        outputs, calls.LAM, len(model.column) - 1), good)
+
+
+@pytest.mark.parametrize('name', PLANAR + SPATIAL)
+def test_arms_give_the_motion_of_the_elimination_of_multipliers(name):
+    for seed in range(3):
+        state = drawn(name, seed)
+        assert trace(state[0]).with_arms
+        qdd, lam, good = evaluated(*state)
+        assert good
+        # In extended precision.
+        expected, forces, _ = evaluated(*state, with_arms=False, kind=np.longdouble)
+        assert_agree(qdd, expected, 1e-12)
+        assert_agree(lam, forces, 1e-12)
+
+
+@pytest.mark.parametrize('name', SPATIAL)
+@pytest.mark.parametrize('rotors', [False, True])
+def test_arms_give_the_motion_of_dense_matrices(name, rotors):
+    model, q, qd, tau = drawn(name)
+    if rotors:
+        plain = model.tree[1:, t.TYPE] != t.BALL
+        model.body[1:, space.ARMATURE] = 0.01 * plain
+        carried = plain & (model.tree[1:, t.PARENT] > 0)
+        model.body[1:, space.ROTOR:space.ROTOR + 3] = np.outer(carried, (1e-3, -2e-3, 3e-3))
+    numbers = Numbers(model)
+    numbers.move(q, qd)
+    expected, forces, _ = numbers.accelerations(tau, 0.0)
+    qdd, lam, _ = evaluated(model, q, qd, tau)
+    assert_agree(qdd, expected, 1e-11)
+    assert_agree(lam, forces, 1e-11)
+
+
+@pytest.mark.parametrize(('name', 'row', 'where'), SINGULAR)
+def test_next_to_a_singular_arm_results_are_right_or_not_used(name, row, where):
+    model, q, qd, tau = drawn(name)
+    used = []
+    made = {with_arms: trace(model, with_arms).routine(calls.EVALUATION)
+            for with_arms in (True, False)}
+    for distance in (0.5, *10.0 ** -np.arange(1.0, 13.0), 0.0):
+        q[model.tree[row, t.COORDINATE]] = where - distance
+        inputs = _inputs(model, q, qd, tau)
+        outputs, good = interpret(made[True], inputs)
+        used.append(good)
+        if good:
+            expected, _ = interpret(made[False], {
+                source: array.astype(np.longdouble) for source, array in inputs.items()})
+            for source, size in (calls.QDD, len(qd)), (calls.LAM, len(model.column) - 1):
+                assert_agree(_array(outputs, source, size), _array(expected, source, size), 1e-12)
+    assert used[0] and not any(used[2:])
+
+
+def rows_of_arms(name):
+    """Return the model of a shipped scene and the plan of its arms."""
+    model = Simulation(load_scene(name)).data.system.model
+    return Plan.of(trace(model).recursion, model)
+
+
+def test_arms_are_found_by_structure():
+    plan = rows_of_arms('stewart_platform')
+    # Six legs, and the spherical joint between the first one and the platform.
+    assert sorted(sorted(joints) for joints, _ in plan.steps) == [
+        [1, 2, 3], [4, 5, 6], [7, 8, 9], [10, 11, 12], [13, 14, 15], [16, 17, 18], [19, 20, 21]]
+    assert list(plan.floating) == [6] and not plan.rest
+    assert not rows_of_arms('three_rrr').rest
+    # The parallelograms keep the platform from turning.
+    assert len(rows_of_arms('delta_robot').rest) == 3
+    # One loop, and one of many links: the elimination of multipliers takes less.
+    assert rows_of_arms('four_bar') is None and rows_of_arms('bennett') is None
+
+
+@pytest.mark.parametrize('name', ['three_rrr', 'stewart_platform'])
+def test_at_a_singular_arm_the_same_call_gives_the_motion(name):
+    row, where = next(one[1:] for one in SINGULAR if one[0] == name)
+    model, q, qd, tau = drawn(name, spread=0.1)
+    system = build_system(model, unrolled=True)
+    system.tau[:] = tau
+    state = np.zeros(number_of_states(system))
+    for angle in (q[model.tree[row, t.COORDINATE]], where):
+        q[model.tree[row, t.COORDINATE]] = angle
+        state[:len(q) + len(qd)] = np.concatenate([q, qd])
+        before = system.work.health[t.EVALUATIONS]
+        system.native.evaluate_state(state)
+        assert system.work.health[t.EVALUATIONS] == before + 1.0
+        assert system.work.health[t.RANK_REVEALING_COUNT] == 0.0
+        expected, _, good = evaluated(model, q, qd, tau, with_arms=False, kind=np.longdouble)
+        assert good
+        assert_agree(system.qdd, expected, 1e-11)
+
+
+def test_one_state_at_a_singular_arm_does_not_spoil_those_beside_it():
+    model, q, qd, tau = drawn('three_rrr', spread=0.1)
+    states = np.tile(q, (calls.LANES, 1))
+    states[1:, 0] += 0.1 * np.arange(1, calls.LANES)
+    sizes = len(qd), len(model.column) - 1
+    for singular in (False, True):
+        if singular:
+            states[2, model.tree[2, t.COORDINATE]] = 0.0
+        arrays = lanes.allocate([model] * calls.LANES, sizes, np.zeros(1))
+        arrays[calls.TAU][:] = lanes.spread([tau] * calls.LANES)
+        table = lanes.connect(model, arrays)
+        run = ctypes.CFUNCTYPE(ctypes.c_int64, *3 * [ctypes.c_void_p])(
+            int(table[calls.EVALUATION]))
+        positions, rates = lanes.spread(states), lanes.spread([qd] * calls.LANES)
+        assert run(table.ctypes.data, positions.ctypes.data, rates.ctypes.data)
+        for lane in range(calls.LANES):
+            expected, _, _ = evaluated(model, states[lane], qd, tau, with_arms=False)
+            assert_agree(arrays[calls.QDD].reshape(-1, calls.LANES)[:, lane], expected, 1e-11)
+        assert np.all(arrays[calls.HEALTH].reshape(-1, calls.LANES)[t.EVALUATIONS] == 2.0)
