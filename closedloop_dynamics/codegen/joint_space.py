@@ -50,8 +50,8 @@ class View(NamedTuple):
         def entry(m, n):
             if m != n:
                 return inertia[m][n] - (offset[m] * moment[n] + after[m] * offset[n])
-            if is_zero(inertia[X]):
-                # In the plane; entries of the matrix have the first product, too.
+            if m == Z and is_zero((offset[Z], moment[Z])):
+                # As in the plane; entries of the matrix have the first product, too.
                 return inertia[m][m] + dot(offset, moment) + dot(offset, after)
             return inertia[m][m] + (squares[m - 2] + squares[m - 1])
 
