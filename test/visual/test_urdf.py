@@ -130,7 +130,7 @@ def test_frames_of_the_links_in_space_are_the_poses_of_the_bodies(name):
         by_name.update((name, position[places]) for name, places in names.coordinates.items()
                        if name in names.with_orientation)
         frames = link_frames(urdf(mechanism), by_name)
-        poses = geometry.poses_among(geometry.equations.move(position).work.body)
+        poses = geometry.poses_among(geometry.equations.move(position).work)
         for body, pose in zip(mechanism.bodies, poses):
             expected = transform(matrix(pose[3:]), pose[:3])
             np.testing.assert_allclose(frames[body.name], expected, atol=1e-12)
