@@ -126,7 +126,6 @@ MOTION_COLUMNS = 3
 HEALTH_COLUMNS = 11
 
 
-
 class Arrays(SimpleNamespace):
     """Arrays by name, and records of them within."""
 

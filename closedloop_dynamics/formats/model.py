@@ -15,9 +15,8 @@ from typing import Optional
 
 import numpy as np
 
-from ..mechanism.coordinates import QUANTITIES
-
 from .pose import IDENTITY, Pose
+from ..mechanism.coordinates import QUANTITIES
 from ..mechanism.fields import among, nearest
 from ..mechanism.mechanism import FIXED, GROUND, JOINT_FREEDOMS, MechanismError
 

@@ -53,8 +53,8 @@ INTEGRATORS = {
         ADAPTIVE, 'order 5(4), error control, dense output', EXPLICIT, 'explicit', DOPRI5),
     'dop853': Integrator(
         ADAPTIVE, 'order 8(5,3), error control, dense output', EXPLICIT, 'explicit', DOP853),
-    'rodas4': Integrator(ADAPTIVE, 'stiff, L-stable, order 4(3), error control', ROSENBROCK,
-        'rodas4'),
+    'rodas4': Integrator(
+        ADAPTIVE, 'stiff, L-stable, order 4(3), error control', ROSENBROCK, 'rodas4'),
     'rodas4_fixed': Integrator(FIXED, 'stiff, L-stable, order 4', ROSENBROCK, 'rodas4_fixed'),
 }
 # Integrators of earlier versions, and what does the same as well or better.

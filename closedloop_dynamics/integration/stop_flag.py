@@ -17,7 +17,7 @@ class StopFlag:
     def __init__(self) -> None:
         self._flag = native.stop_flag(0)
 
-    def set(self) -> None:
+    def set(self) -> None:  # noqa: A003
         """Ask the threads that heed it to stop."""
         self._flag.set_stop(1)
 

@@ -89,5 +89,3 @@ def _keep(cut, kept):
         for k in np.argsort(cut[:, t.CUT_NUMBER]):
             cut[k, t.KEPT] = sum(
                 1 << n for n in range(6) if cut[k, t.POSSIBLE] >> n & 1 and next(flags))
-
-

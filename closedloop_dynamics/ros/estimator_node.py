@@ -255,7 +255,7 @@ class EstimatorNode(CountingNode):
         follows = self._timeline.follows(1e-9 * stamp)
         if follows is False:
             self.complain(ODD, f'{topic}: a stamp of {1e-9 * stamp:.3f} s is not used: the '
-                                f'newest one is {self._timeline.newest:.3f} s')
+                               f'newest one is {self._timeline.newest:.3f} s')
             return
         if follows is None:
             self.get_logger().warning(f'time has jumped to {1e-9 * stamp:.3f} s: starting again')
@@ -279,7 +279,7 @@ class EstimatorNode(CountingNode):
     def on_lost(self, topic, number):
         """Count messages that were lost."""
         self.complain(LOST, f'{topic}: {number} messages were lost on the way, or came faster '
-                             'than they could be taken in', number)
+                            'than they could be taken in', number)
         if topic == STATES and number > MOST_LOST:
             self._restart()
 

@@ -435,9 +435,9 @@ def _drawn(value: Mapping[str, Any], mechanism: Mechanism, names: Parameters,
     for key, units in zip(DRAWN, (axes * ('m',), of_pose)):
         count = len(units)
         with at(key):
-            for name, place in _section(value, key).items():
-                with at(name):
-                    found[key][name] = numbers(
+            for one, place in _section(value, key).items():
+                with at(one):
+                    found[key][one] = numbers(
                         names.evaluated(place, units), count, f'a list of {count} finite numbers')
     return drawn_position(mechanism, found['at'], found['poses'], start)
 

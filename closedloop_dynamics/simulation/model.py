@@ -240,6 +240,7 @@ class Model:
         if len(self.coordinates.balls):
             given = State(given.time, self.coordinates.unit(given.q), given.qd, given.own,
                           self.coordinates)
+
         def taken(one: State) -> State:
             if close:
                 found = self.assemble(one.q, one.qd, (), one.time)
