@@ -19,6 +19,7 @@ from ..mechanism.fields import among, at, FieldError, keys_of, mapping, normalis
 from ..mechanism.mechanism import Mechanism
 from ..mechanism.validation import validate_mechanism
 
+
 @dataclass(frozen=True)
 class Initial:
     """

@@ -94,8 +94,8 @@ class InverseDynamics:
                 table.cut_accelerations(system.model, system.work, qdd, True, table.cuts.qdd)
                 table.cuts.qdd[:len(qdd)] = qdd
             effects.hold_inertia(table.cuts.qdd if len(table.cuts.index) else qdd)
-            table.apply_effects(system.work.body, data.coordinates.by_freedom(q), qd,
-                np.zeros(len(system.tau)))
+            table.apply_effects(
+                system.work.body, data.coordinates.by_freedom(q), qd, np.zeros(len(system.tau)))
             effects.hold_inertia(None)
             effects.unsteady()
             system.work.bias_forces(table.reaction)

@@ -323,8 +323,9 @@ class Stepping:
 
     def _guard_limits(self, method: Method, stiffness: StiffnessGuard) -> GuardLimits:
         """Return the numbers by which the engine watches a run."""
-        return guard_limits(method, stiffness.among_laws, self.data.loop_model.may_leave_out,
-                     len(self._windings()) > 0, extent(self.data.mechanism), self.data.mass)
+        return guard_limits(
+            method, stiffness.among_laws, self.data.loop_model.may_leave_out,
+            len(self._windings()) > 0, extent(self.data.mechanism), self.data.mass)
 
     def _windings(self) -> np.ndarray:
         """Return the places of windings of cables among the data of effects."""

@@ -41,4 +41,3 @@ class Background:
             future, take = self._future, self._take
             self.drop()
             take(future.result)
-

@@ -7,8 +7,8 @@ import copy
 import ctypes
 import math
 
-from closedloop_dynamics.codegen import cache
-from closedloop_dynamics.codegen import announced_by, joint_kernels, relink, routines, scheduling
+from closedloop_dynamics.codegen import (
+    announced_by, cache, joint_kernels, relink, routines, scheduling)
 from closedloop_dynamics.codegen.expression_graph import (
     arctangent, cosine, ExpressionGraph, LOAD, MULTIPLY, Q, QD, Routine, sine)
 from closedloop_dynamics.codegen.machine_code import engines, LANES, machine_code, PACKED, SCALAR

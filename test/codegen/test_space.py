@@ -21,6 +21,7 @@ from ..reference import cases, spatial_linkages, spatial_machines, spatial_maxim
 from ..reference.compare import assert_agree, IDENTITY
 from ..reference.numbers import Numbers
 
+
 # All types of joints and cut joints are among the first.
 @pytest.mark.parametrize('seed', cases.first(3, range(100)))
 def test_random_mechanisms_move_as_in_maximal_coordinates(seed):

@@ -7,9 +7,9 @@ from pathlib import Path
 import re
 
 from closedloop_dynamics import engine
-from closedloop_dynamics.codegen import equations
 from closedloop_dynamics.codegen import (
-    elimination, function_table, live_scene, refinement, sensitivities, space as code_in_space)
+    elimination, equations, function_table, live_scene, refinement, sensitivities,
+    space as code_in_space)
 from closedloop_dynamics.effects import (
     curve, effect_table, element, expression, force_law, profile, traced_effect)
 from closedloop_dynamics.engine import manifold, types

@@ -37,8 +37,8 @@ PARAMETERS = ('<ros2_control name="c" type="system"><joint name="rocker_joint"><
               '</param><param name="multiplier">-2</param><param name="offset">0.5</param>'
               '<command_interface name="effort"/></joint></ros2_control>')
 LINK = ('<gazebo><link name="rod"><pose>0 0 0.1 0 0 0</pose><inertial><mass>0.1</mass><inertia>'
-        '<ixx>1e-4</ixx><iyy>1e-4</iyy><izz>1e-4</izz></inertia></inertial></link></gazebo><gazebo>'
-        '<joint name="foot" type="revolute"><parent>base</parent><child>rod</child>'
+        '<ixx>1e-4</ixx><iyy>1e-4</iyy><izz>1e-4</izz></inertia></inertial></link></gazebo>'
+        '<gazebo><joint name="foot" type="revolute"><parent>base</parent><child>rod</child>'
         '<axis><xyz>0 1 0</xyz></axis></joint><joint name="head" type="revolute"><pose>0.1 0 0 0 '
         '0 0</pose><parent>coupler</parent><child>rod</child><axis><xyz>0 1 0</xyz></axis>'
         '</joint></gazebo>')
@@ -287,8 +287,9 @@ def test_what_nobody_knows_in_a_body_or_joint_is_refused(tmp_path, capsys, name,
 
 
 def test_what_is_ignored_must_be_there(tmp_path):
-    with pytest.raises(MechanismError, match=r"robot\.urdf: ignore: expected elements of the file "
-                                             r"that are not read, got 'shift' \(not read: none\)"):
+    with pytest.raises(MechanismError, match=(
+            r'robot\.urdf: ignore: expected elements of the file '
+            r"that are not read, got 'shift' \(not read: none\)")):
         read(tmp_path, four_bar(), ignore=('shift',))
     written(tmp_path, four_bar())
     scene = written(tmp_path, 'mechanism: ./robot.urdf\nignore: 3\n', 's.yaml')

@@ -21,6 +21,7 @@ from ..reference.machines import bar, revolute, revolute_cut
 from ..reference.scenes import simulated
 from ..reference.special import ladder
 
+
 class Bars(NamedTuple):
     """Lengths of a four-bar that is flat where its crank lies along the base [m]."""
 
