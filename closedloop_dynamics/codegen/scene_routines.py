@@ -45,7 +45,7 @@ class SceneTrace(MechanismTrace):
 
     @property
     def forces_type(self):
-        """What laws act by: ``Forces``, or a class of it."""
+        """Return what laws act by: ``Forces``, or a class of it."""
         return Forces
 
     def evaluation(self):

@@ -67,7 +67,7 @@ class EffectTable(Handle):
 
     @property
     def description(self):
-        """What ``described`` rebuilds the table of: elements, which of them act, cut joints."""
+        """Return what ``described`` rebuilds the table of: elements, which act, cut joints."""
         return list(self.elements), self.enabled.tolist(), (
             self.cuts.index.copy(), self.cuts.values.copy())
 

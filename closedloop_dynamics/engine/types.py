@@ -171,7 +171,7 @@ class Model(Handle):
 
     @property
     def origin(self):
-        """The model of the engine whose arrays, or others of their shapes, these are."""
+        """Return the model of the engine whose arrays, or others of their shapes, these are."""
         return self
 
     def replaced(self, **changes):

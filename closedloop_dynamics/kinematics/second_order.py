@@ -75,7 +75,7 @@ class SecondOrder(NamedTuple):
 
     @property
     def count(self):
-        """Number of directions that are held."""
+        """Return the number of directions that are held."""
         return len(self.couplings) + 2 * len(self.cut_joints)
 
     def notes(self):

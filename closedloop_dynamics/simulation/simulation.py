@@ -207,12 +207,12 @@ class Simulation:
 
     @property
     def scene(self) -> Scene:
-        """The scene, with the present method."""
+        """Return the scene, with the present method."""
         return self.data.scene
 
     @property
     def mechanism(self) -> Mechanism:
-        """The mechanism, with the equations of the motions that the scene prescribes."""
+        """Return the mechanism, with the equations of the motions that the scene prescribes."""
         return self.data.mechanism
 
     @property

@@ -222,12 +222,12 @@ class Stepper:
 
     @property
     def simulation(self) -> Simulation:
-        """What it works with; who writes arrays of its ``data`` calls their ``touch`` then."""
+        """Return what it works with; who writes arrays of its ``data`` calls their ``touch``."""
         return self._simulation
 
     @property
     def parameter_arrays(self) -> Any:
-        """The derivatives of its arrays by the parameters, a ``parameters.ParameterArrays``."""
+        """Return the ``ParameterArrays``: derivatives of its arrays by the parameters."""
         return self._arrays
 
     @property

@@ -81,7 +81,7 @@ class Stepping:
 
     @property
     def method(self) -> Method:
-        """The method, as the scene of the data has it."""
+        """Return the method, as the scene of the data has it."""
         return self.data.scene.method
 
     def _differentiate_steps(self) -> None:

@@ -188,10 +188,11 @@ def test_a_rollout_that_fails_ends_no_work_of_other_threads(monkeypatch):
         def record_alike(self, *_):
             if first.acquire(blocking=False):
                 failed.set()
-                raise RuntimeError('a fault of a sample')
-            # The rollout has not ended before the work beside it has.
-            assert over.wait(500)
-            return None
+            else:
+                # The rollout has not ended before the work beside it has.
+                assert over.wait(500)
+            # Whichever of them is asked for its results first.
+            raise RuntimeError('a fault of a sample')
 
     def work():
         assert failed.wait(500)

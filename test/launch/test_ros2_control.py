@@ -3,9 +3,9 @@
 
 """ros2_control.launch.py by launch_testing: a trajectory of a mechanism within ros2_control."""
 
-import unittest
 from tempfile import mkdtemp
 from test.launch.launched import described
+import unittest
 
 from builtin_interfaces.msg import Duration
 from control_msgs.action import FollowJointTrajectory

@@ -271,9 +271,10 @@ def test_a_tolerance_is_one_of_digits(given):
 
 def test_slides_and_pins_of_the_plane_agree_too():
     body = {'mass': 1.0, 'center_of_mass': [0.1, 0.0], 'inertia': 0.01}
-    sled = {'name': 'sled', 'bodies': {'sled': body}, 'joints': {
-        'rail': {'type': 'prismatic', 'parent': 'ground', 'child': 'sled', 'position': [0, 0],
-                 'angle': 0.5}},
+    sled = {
+        'name': 'sled', 'bodies': {'sled': body}, 'joints': {
+            'rail': {'type': 'prismatic', 'parent': 'ground', 'child': 'sled', 'position': [0, 0],
+                     'angle': 0.5}},
         'cut_joints': {'second': {'type': 'prismatic', 'body_a': 'sled', 'body_b': 'ground',
                                   'point_a': [0.2, 0.3], 'angle': 0.5000000003, 'point_b': [
                                       0.2 * np.cos(0.5) - 0.3 * np.sin(0.5) + 1e-9,
@@ -295,12 +296,13 @@ def test_slides_and_pins_of_the_plane_agree_too():
 
 def test_a_thread_agrees_whose_axis_is_rounded_on_one_body_alone():
     off, place, across = 3e-10, [0.1, 0.2, 0.3], about(Y, -0.5 * np.pi)
-    data = {'name': 'thread', 'bodies': dict.fromkeys(('carrier', 'nut'), BODY), 'joints': {
-        'first': {'type': 'revolute', 'parent': 'ground', 'child': 'carrier', 'position': place,
-                  'axis': [0.0, 0.0, 1.0]},
-        'second': {'type': 'prismatic', 'parent': 'carrier', 'child': 'nut',
-                   'position': [0.0, 0.0, 0.0], 'axis': [1.0, 0.0, 0.0],
-                   'orientation': {'quaternion': list(quaternion_of(across))}}},
+    data = {
+        'name': 'thread', 'bodies': dict.fromkeys(('carrier', 'nut'), BODY), 'joints': {
+            'first': {'type': 'revolute', 'parent': 'ground', 'child': 'carrier',
+                      'position': place, 'axis': [0.0, 0.0, 1.0]},
+            'second': {'type': 'prismatic', 'parent': 'carrier', 'child': 'nut',
+                       'position': [0.0, 0.0, 0.0], 'axis': [1.0, 0.0, 0.0],
+                       'orientation': {'quaternion': list(quaternion_of(across))}}},
         'cut_joints': {'third': {
             'type': 'helical', 'body_a': 'nut', 'body_b': 'ground', 'point_a': [0.0, 0.0, 0.0],
             'point_b': place, 'axis_b': [np.sin(off), 0.0, np.cos(off)], 'lead': 0.05,

@@ -21,7 +21,7 @@ from .sample import BagFiles, write
 class Reader:
     """Reads as rosbag2_py.SequentialReader does."""
 
-    def open(self, storage, converter):
+    def open(self, storage, converter):  # noqa: A003
         try:
             self._messages = list(Bag(storage.uri).serialised())
         except OSError as error:

@@ -89,8 +89,9 @@ class Dense:
         system, model, work = self.system, self.system.model, self.system.work
         model.outward(q, qd, work)
         if system.effects is not None:
-            system.effects.apply_effects(work.body, q if system.manifold is None else
-                                 system.manifold.number, qd, system.tau)
+            system.effects.apply_effects(
+                work.body, q if system.manifold is None else system.manifold.number, qd,
+                system.tau)
         model.update(work, NO_RESPONSES)
         model.constraint_jacobian(work, self._jac)
         model.to_user_order(work.bias, self._bias)

@@ -70,6 +70,7 @@ class Pose(NamedTuple):
 
 
 class _Draw:
+
     def __init__(self, rng):
         self.rng = rng
         self.planar, self.nice = bool(rng.random() < 0.5), bool(rng.random() < 0.5)

@@ -34,7 +34,7 @@ from std_srvs.srv import Trigger
 
 sys.path.insert(0, str(Path(__file__).resolve().parents[2] / 'benchmark'))
 
-from programs import Programs  # noqa: E402
+from programs import Programs  # noqa: E402,I100
 
 SIMULATOR = 'closedloop_simulator'
 # Memory that allocators may take without anything leaking: at once, and per hour [bytes].

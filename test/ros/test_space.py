@@ -6,9 +6,9 @@
 from dataclasses import replace
 import json
 from test.reference import cases, spatial_machines
+from test.reference.scenes import scene_in_space
 from test.reference.spatial_maximal import matrix
 from test.ros.test_frames import broadcast  # noqa: F401
-from test.reference.scenes import scene_in_space
 from test.simulation.test_space import machine, tilted_four_bar, TURN
 from xml.etree import ElementTree
 

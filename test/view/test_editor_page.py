@@ -218,8 +218,8 @@ GENEVA = drawing(
              'value': 3.0})
 BELT = drawing(
     {'A': (0.0, 0.0, 'ground'), 'B': (0.1, 0.0, 'ground')},
-    gear_1=gear('A', 20), gear_2=gear('B', 30), belt_1={'kind': 'belt', 'a': 'gear_1',
-                                                       'b': 'gear_2'})
+    gear_1=gear('A', 20), gear_2=gear('B', 30),
+    belt_1={'kind': 'belt', 'a': 'gear_1', 'b': 'gear_2'})
 
 
 @pytest.mark.parametrize('name, drawn', [
