@@ -153,9 +153,7 @@ class LiveTrace(MechanismTrace):
         not inside it is on an edge, with one joint at its limit; where both responses are of one
         freedom, the first joint bears its load, the second what is too much for it.
         """
-        responses, torques = [], [self.torques_of([one]) for one in resting]
-        for one in torques:
-            responses.append(self.response(one))
+        responses = [self.response(self.torques_of([one])) for one in resting]
 
         def along(number, rates):
             limit, arms = resting[number]
