@@ -130,9 +130,9 @@ def test_tables_of_the_peers_are_those_of_their_files(benchmark, group):
         if name.split()[-1] in ('evaluation', 'motions', 'reference')}
     text = (ROOT / 'doc' / 'performance.md').read_text()
     assert len(parts) == 3 and benchmark('make_accuracy_doc').filled(text, parts) == text
-    # An error of 1e-8 is told where the reference is known ten times better, and only there.
-    told = {name for name in uncertain if f'| {name} | 1e-08 |' in text}
-    assert told == {name for name, known in uncertain.items() if known <= 1e-9}
+    # An error of 1e-8 is shown where the reference is known ten times better, and only there.
+    shown = {name for name in uncertain if f'| {name} | 1e-08 |' in text}
+    assert shown == {name for name, known in uncertain.items() if known <= 1e-9}
 
 
 @pytest.mark.slow
