@@ -121,6 +121,7 @@ class RemoteSimulator(Shown):
             for kind, what in ((SetBool, 'pause'), (Trigger, 'reset'), (Trigger, 'step'),
                                (SetParametersAtomically, 'set_parameters_atomically')))
         self._triggers = dict(zip(('reset', 'step'), triggers))
+        # A publisher from the first command on: a page that only looks is no source of commands.
         self._commands = None
         self._wrenches = self._publish(WrenchStamped, topics[WRENCHES], 1) \
             if WRENCHES in topics else None
@@ -165,7 +166,7 @@ class RemoteSimulator(Shown):
                 self._subscriptions.append(self._subscribe(
                     WrenchStamped, topic, lambda message, k=k: self._on_force(k, message), QOS))
         place = self._topics['joint_states'].rpartition('/')[0]
-        self._commands = self._publish(JointState, f'{place}/joint_command', 1)
+        self._command_topic = f'{place}/joint_command'
         # Limits of drives would act on the pull, too.
         if any(isinstance(record, Actuator) for record in scene.effects.values()):
             self._wrenches = None
@@ -384,6 +385,8 @@ class RemoteSimulator(Shown):
             drive[2] = integral + INTEGRAL * felt * rate ** 3 * error * passed
             efforts.append(drive[2] + felt * rate * (
                 rate * error - 2.0 * self._velocity[place]))
+        if self._commands is None:
+            self._commands = self._publish(JointState, self._command_topic, 1)
         self._commands.publish(JointState(name=list(self.drives), effort=efforts))
 
     # Posing: by a model here, whose state the simulator is given.

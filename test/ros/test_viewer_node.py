@@ -66,6 +66,8 @@ def test_a_running_simulator_is_shown_and_driven(spinning):
         assert client.samples[-1][1].shape == client.row.shape
         client.ask('effect', name='gravity', enabled=False)
         client.until(lambda client: not client.controls['effects']['gravity']['enabled'])
+        # Until it drives, a page is no source of commands, of which there should be one.
+        assert simulator.count_publishers('joint_command') == 0
         client.ask('command', joint='theta_1', value=7.5)
         client.until(lambda client: client.row is not None and plotted(
             client, 'drive torque or force', 'theta_1') == 7.5)
