@@ -60,8 +60,8 @@ class RecorderNode(ProgramNode):
     """
     Record every message of the chosen topics, as it came over the wire.
 
-    ``exit_code``: None while the node wants to go on; ``received``, ``lost``: messages by full
-    topic name; lost: what DDS says could not be delivered.
+    ``exit_code``: None while the node wants to go on; ``bag``: what is written to; ``received``,
+    ``lost``: messages by full topic name; lost: what DDS says could not be delivered.
     """
 
     NAME, PARAMETERS = 'closedloop_recorder', RECORDER_PARAMETERS
@@ -76,10 +76,10 @@ class RecorderNode(ProgramNode):
         self._type_of = {}
         self._subscriptions_by_topic = {}
         self._complained = set()
-        self._bag = self._open()
+        self.bag = self._open()
         self._begin = time.monotonic()
         self.every(DISCOVERY_PERIOD, self.poll_topics)
-        self.get_logger().info(f"recording {', '.join(self._patterns)} into '{self._bag.path}'")
+        self.get_logger().info(f"recording {', '.join(self._patterns)} into '{self.bag.path}'")
 
     def _open(self):
         values = self.values
@@ -101,12 +101,12 @@ class RecorderNode(ProgramNode):
         for topic, type_names in self.get_topic_names_and_types():
             if any(fnmatchcase(topic, full) for full in self._patterns.values()):
                 self._listen_to(topic, type_names)
-        if self._bag.dropped:
+        if self.bag.dropped:
             self.get_logger().warning(
                 'messages come faster than the disk takes them: '
-                f'{self._bag.dropped} dropped so far', throttle_duration_sec=WARNING_PERIOD)
+                f'{self.bag.dropped} dropped so far', throttle_duration_sec=WARNING_PERIOD)
         duration = self.values['max_duration']
-        if self._bag.error is not None:
+        if self.bag.error is not None:
             self.exit_code = 1
         elif duration and time.monotonic() - self._begin >= duration:
             self.exit_code = 0
@@ -114,10 +114,10 @@ class RecorderNode(ProgramNode):
     def close(self):
         """Record the messages that have arrived, close the bag and log its contents."""
         self._drain()
-        self._bag.close()
+        self.bag.close()
         logger = self.get_logger()
         for topic in sorted(self._subscriptions_by_topic):
-            received, written = self.received[topic], self._bag.written[topic]
+            received, written = self.received[topic], self.bag.written[topic]
             dropped = f', {received - written} dropped' if received > written else ''
             lost = f', {self.lost[topic]} lost on the way' if self.lost[topic] else ''
             logger.info(f'{topic}: {received} received, {written} written{dropped}{lost}')
@@ -125,11 +125,11 @@ class RecorderNode(ProgramNode):
             if pattern not in RARE and not any(
                     fnmatchcase(topic, full) for topic in self._subscriptions_by_topic):
                 logger.warning(f"topic '{pattern}' never appeared")
-        if self._bag.error is not None:
+        if self.bag.error is not None:
             self.exit_code = 1
-            logger.error(f'{self._bag.error}')
+            logger.error(f'{self.bag.error}')
         else:
-            logger.info(f"{sum(self._bag.written.values())} messages in '{self._bag.path}'")
+            logger.info(f"{sum(self.bag.written.values())} messages in '{self.bag.path}'")
 
     def _listen_to(self, topic, type_names):
         """Subscribe to a topic, again if a publisher offers another quality of service."""
@@ -176,11 +176,11 @@ class RecorderNode(ProgramNode):
     def _record(self, topic, data, nanoseconds):
         if not self.received[topic]:
             self.get_logger().info(f'{topic}: first message, {self._type_of[topic]}')
-            self._bag.add_topic(topic, self._type_of[topic], [
+            self.bag.add_topic(topic, self._type_of[topic], [
                 publisher.qos_profile
                 for publisher in self.get_publishers_info_by_topic(topic)])
         self.received[topic] += 1
-        self._bag.write(topic, nanoseconds, data)
+        self.bag.write(topic, nanoseconds, data)
 
     def _drain(self):
         """Run callbacks until nothing more has arrived, at most for ``LAST_CALL``."""

@@ -6,7 +6,7 @@
 import time
 
 from closedloop_dynamics.ros.commands import SERVICE_QOS
-from rclpy.executors import SingleThreadedExecutor
+from closedloop_dynamics.ros.executor import build_executor
 from rclpy.node import Node
 from rclpy.qos import QoSProfile
 
@@ -40,8 +40,22 @@ class Listener:
     def __init__(self, name, context):
         self.node = Node(name, context=context)
         self.received = {}
-        self._executor = SingleThreadedExecutor(context=context)
+        self._executor = build_executor(context)
         self._executor.add_node(self.node)
+
+    def add(self, node):
+        """Let a node run while this one waits."""
+        self._executor.add_node(node)
+
+    def remove(self, node):
+        """Let a node run no more."""
+        self._executor.remove_node(node)
+
+    def leave_alone(self, node):
+        """Let no other node run any more."""
+        for other in self._executor.get_nodes():
+            if other not in (node, self.node):
+                self.remove(other)
 
     def listen(self, topic, message_class):
         """Collect the messages of a topic from now on."""

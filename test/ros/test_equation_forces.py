@@ -8,7 +8,6 @@ from closedloop_dynamics.recording.recording import read_recording
 from closedloop_dynamics.recording.replay import replay
 from closedloop_dynamics.ros.simulator_node import SimulatorNode
 import numpy as np
-import pytest
 from sensor_msgs.msg import JointState
 
 TOPICS = ('coupling_forces', 'tooth_forces', 'motion_forces')
@@ -20,20 +19,16 @@ def test_a_mechanism_without_couplings_and_motions_has_no_topics_of_them(make_no
     assert topics.isdisjoint(f'/{topic}' for topic in TOPICS)
 
 
-@pytest.mark.slow
-def test_forces_are_published_recorded_and_met(processes, listener, tmp_path, capsys):
-    recorder = processes.start('closedloop_recorder', output='bag').wait_until_ready()
+def test_forces_are_published_recorded_and_met(run, record, listener, tmp_path, capsys):
+    recorder = record()
     # Steps of one size remember nothing: a recording that began late is met to the last bit.
-    simulator = processes.start('closedloop_simulator', scene='geared_five_bar', integrator='rk4',
-                                motion_joints='[crank_2_joint]', publish_clock='true')
-    simulator.wait_until_ready()
-    for topic in (*TOPICS, 'joint_states', 'replay_log', 'scene'):
-        recorder.wait_for(f'/{topic}: first message')
+    run(SimulatorNode, scene='geared_five_bar', integrator='rk4',
+        motion_joints=['crank_2_joint'], publish_clock=True)
+    recorder.wait_for(*TOPICS, 'joint_states', 'replay_log', 'scene')
     seen = {topic: listener.listen(topic, JointState) for topic in TOPICS}
     states = listener.listen('joint_states', JointState)
     listener.wait(lambda: len(states) > 30 and all(map(len, seen.values())), '30 states')
-    assert simulator.stop() == 0
-    assert recorder.stop() == 0
+    recorder.end()
     recording = read_recording(tmp_path / 'bag')
     assert set(recording.efforts) == set(TOPICS)
     stamps = recording.stamps.tolist()

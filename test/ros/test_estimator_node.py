@@ -5,7 +5,6 @@
 
 from copy import copy
 import math
-import signal
 from test.estimation.recorded import MACHINE, SENSORS, states
 from types import SimpleNamespace
 
@@ -15,6 +14,8 @@ from closedloop_dynamics.ros.estimator_node import (
     EstimatorNode, LOST, measurements_finding, model_finding, NOT_USABLE, ODD, RESTARTS, SEVERAL,
     USED)
 from closedloop_dynamics.ros.process import StartError
+from closedloop_dynamics.ros.simulator_node import SimulatorNode
+from closedloop_dynamics.ros.torque_source_node import TorqueSourceNode
 from closedloop_dynamics.simulation.simulation import Simulation
 from diagnostic_msgs.msg import DiagnosticArray, DiagnosticStatus
 import numpy as np
@@ -384,31 +385,28 @@ def test_process_estimates_what_a_simulator_publishes(processes, listener):
     assert node.stop() == 0
 
 
-@pytest.mark.slow
-def test_killed_in_mid_motion_another_process_goes_on_and_bears_nonsense(
-        processes, listener, tmp_path):
-    """The load is found again by a process that has not seen the motion begin."""
-    drive = ['--ros-args', '--params-file',
-             str(MACHINE.parents[1] / 'controllers' / 'three_rrr_circle.yaml')]
+def test_another_node_goes_on_in_mid_motion_and_bears_nonsense(run, listener, tmp_path):
+    """The load is found again by a node that has not seen the motion begin."""
+    drive = {'scene': str(MACHINE), 'arguments': ['--params-file', str(
+        MACHINE.parents[1] / 'controllers' / 'three_rrr_circle.yaml')]}
     path = tmp_path / 'sensors.yaml'
     path.write_text(SENSORS.read_text().replace('\nunknowns', f'{HAND}\nunknowns', 1))
-    settings = {'scene': 'three_rrr', 'sensors': path, 'mode': 'lockstep', 'topics.hand': '/hand'}
+    settings = {'scene': 'three_rrr', 'sensors': str(path), 'mode': 'lockstep',
+                'topics.hand': '/hand'}
     unknown = listener.listen('estimated_unknowns', Float64MultiArray)
     findings = listener.listen('/diagnostics', DiagnosticArray)
 
     def found():
         return unknown and 0.0 < unknown[-1].data[3] < 0.05
 
-    node = processes.start(NODE, **settings).wait_until_ready()
-    processes.start(SIMULATOR, arguments=drive, scene=MACHINE, mode='lockstep',
-                    wait_for_subscribers=2)
-    processes.start(SOURCE, arguments=drive, scene=MACHINE)
+    node = run(EstimatorNode, **settings)
+    run(SimulatorNode, mode='lockstep', wait_for_subscribers=2, **drive)
+    run(TorqueSourceNode, **drive)
     listener.wait(found, 'an estimate of the load')
-    node.send(signal.SIGKILL)
-    node.wait()
+    listener.remove(node)
     unknown.clear()
-    another = processes.start(NODE, **settings).wait_until_ready()
-    listener.wait(found, 'an estimate of the load by another process')
+    run(EstimatorNode, **settings)
+    listener.wait(found, 'an estimate of the load by another node')
     publisher, message = listener.publisher('/hand', Imu), Imu()
     message.linear_acceleration.x = math.inf
 
@@ -440,4 +438,3 @@ def test_killed_in_mid_motion_another_process_goes_on_and_bears_nonsense(
     listener.wait(lambda: len(unknown) > 100 and found(), 'estimates after nonsense')
     *_, mass, deviation = unknown[-1].data
     assert abs(mass - 5.0) < 5.0 * deviation
-    assert another.stop() == 0

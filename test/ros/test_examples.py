@@ -13,6 +13,7 @@ from xml.etree import ElementTree
 from closedloop_dynamics.control.references import solve
 from closedloop_dynamics.mechanism.config import config_directory
 from closedloop_dynamics.ros.executor import build_executor
+from closedloop_dynamics.ros.simulator_node import SimulatorNode
 from closedloop_dynamics.simulation.simulation import Simulation
 from closedloop_dynamics.visual.srdf import srdf
 import numpy as np
@@ -115,20 +116,17 @@ def bridge_of_the_page():
     return names['Bridge']
 
 
-def test_machine_waits_for_a_device_and_runs_are_the_same(processes, context):
+def test_machine_waits_for_a_device_and_runs_are_the_same(make_node, context):
     runs = []
     for late in (None, 7):
         device = Device(late)
         bridge = bridge_of_the_page()(device.line.getsockname(), 0.2, context)
         executor = build_executor(context)
         executor.add_node(bridge.node)
-        simulator = processes.start(
-            'closedloop_simulator', scene='three_rrr', mode='lockstep', publish_clock='true')
-        simulator.wait_until_ready()
+        executor.add_node(make_node(
+            SimulatorNode, scene='three_rrr', mode='lockstep', publish_clock=True))
         while bridge.answered < 50:
-            processes.check()
             executor.spin_once(timeout_sec=0.1)
-        assert simulator.stop() == 0
         executor.shutdown()
         bridge.node.destroy_node()
         device.close()

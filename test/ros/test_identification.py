@@ -4,26 +4,21 @@
 """Parameters come out of a bag that the recorder wrote of the simulator."""
 
 from closedloop_dynamics.cli import main
+from closedloop_dynamics.ros.simulator_node import SimulatorNode
 import numpy as np
 import pytest
 from sensor_msgs.msg import JointState
 from std_msgs.msg import Float64MultiArray
 
-SIMULATOR, RECORDER = 'closedloop_simulator', 'closedloop_recorder'
 DRIVES = [0, 5, 6]
 
 
-@pytest.mark.slow
-def test_masses_come_out_of_a_bag_of_the_node(processes, listener, tmp_path, capsys):
-    recorder = processes.start(RECORDER, output='bag').wait_until_ready()
+def test_masses_come_out_of_a_bag_of_the_node(run, record, listener, tmp_path, capsys):
+    recorder = record()
     # One period for each command: the motion is the same whatever else the machine does.
-    simulator = processes.start(SIMULATOR, scene='three_rrr_horizontal', mode='lockstep')
-    simulator.wait_until_ready()
-    for topic in ('scene', 'joint_states', 'replay_log'):
-        recorder.wait_for(f'/{topic}: first message')
+    run(SimulatorNode, scene='three_rrr_horizontal', mode='lockstep')
+    recorder.wait_for('scene', 'joint_states', 'replay_log')
     publisher = listener.publisher('torque_command', Float64MultiArray)
-    listener.send(publisher, Float64MultiArray(),
-                  lambda: 'torque_command rejected' in simulator.output, 'a rejection')
     stamps, start = [], []
 
     def answer(message):
@@ -41,8 +36,7 @@ def test_masses_come_out_of_a_bag_of_the_node(processes, listener, tmp_path, cap
 
     listener.node.create_subscription(JointState, 'joint_states', answer, 10)
     listener.wait(lambda: len(stamps) > 200, '2 s of motion')
-    for process in (simulator, recorder):
-        assert process.stop() == 0
+    recorder.end()
     body = 'mechanism.bodies.platform'
     assert main(['identify', str(tmp_path / 'bag'), 'three_rrr_horizontal', '--set',
                  f'{body}.mass=4', '--vary', f'{body}.mass', f'{body}.inertia']) == 0

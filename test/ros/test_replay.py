@@ -1,57 +1,53 @@
 # SPDX-FileCopyrightText: 2026 The closedloop_dynamics authors
 # SPDX-License-Identifier: Apache-2.0
 
-"""A bag recorded from real processes is replayed, animated, and drawn."""
+"""A bag recorded from the nodes is replayed, animated, and drawn."""
 
 from test.ros import test_space
 
 from closedloop_dynamics.cli import main
 from closedloop_dynamics.recording.recording import read_recording
+from closedloop_dynamics.ros.simulator_node import SimulatorNode
+from closedloop_dynamics.ros.torque_source_node import TorqueSourceNode
 import numpy as np
 from PIL import Image
 import pytest
 from sensor_msgs.msg import JointState
 
-SIMULATOR = 'closedloop_simulator'
-RECORDER = 'closedloop_recorder'
-SOURCE = 'closedloop_torque_source'
 
-
-@pytest.mark.parametrize('integrator', [
-    'auto', pytest.param('rk4', marks=pytest.mark.slow)])
+@pytest.mark.parametrize('integrator', ['auto', 'rk4'])
 def test_a_recording_that_began_late_is_met_exactly(
-        processes, listener, tmp_path, capsys, integrator):
-    simulator = processes.start(SIMULATOR, scene='three_rrr', integrator=integrator)
-    simulator.wait_until_ready()
-    source = processes.start(SOURCE, mode='sine', amplitude='[8.0]', frequency='[2.0]')
+        run, record, listener, tmp_path, capsys, integrator):
+    run(SimulatorNode, scene='three_rrr', integrator=integrator)
+    run(TorqueSourceNode, mode='sine', amplitude=[8.0], frequency=[2.0])
     states = listener.listen('/joint_states', JointState)
     listener.wait(lambda: states and any(states[-1].effort), 'motion under torques')
-    recorder = processes.start(RECORDER, output='bag').wait_until_ready()
-    for topic in ('scene', 'joint_states', 'replay_log'):
-        recorder.wait_for(f'/{topic}: first message')
+    recorder = record()
+    recorder.wait_for('scene', 'joint_states', 'replay_log')
     count = len(states)
     listener.wait(lambda: len(states) > count + 100, '1 s of motion')
-    for process in (source, simulator, recorder):
-        assert process.stop() == 0
+    recorder.end()
     assert main(['replay', str(tmp_path / 'bag')]) == 0
     output = capsys.readouterr().out
     assert 'the recording began later' in output
     assert 'largest deviation of a position: 0 rad or m' in output
 
 
-def recorded(processes, listener, scene, moved, topics=(), **drive):
-    """Drive a scene by sines while it is recorded, until a coordinate has grown past ``moved``."""
-    recorder = processes.start(RECORDER, output='bag').wait_until_ready()
-    simulator = processes.start(SIMULATOR, scene=scene, wait_for_command='true')
-    simulator.wait_until_ready()
-    for topic in ('scene', 'robot_description', 'joint_states', 'replay_log', *topics):
-        recorder.wait_for(f'/{topic}: first message')
-    source = processes.start(SOURCE, mode='sine', **drive)
-    states = listener.listen('/joint_states', JointState)
-    listener.wait(lambda: states and np.ptp(
-        [message.position for message in states], axis=0).max() > moved, 'motion')
-    for process in (source, simulator, recorder):
-        assert process.stop() == 0
+@pytest.fixture
+def recorded(run, record, listener):
+    """Return a function that drives a scene by sines until a coordinate has grown by ``moved``."""
+    def drive(scene, moved, topics=(), **sines):
+        recorder = record()
+        run(SimulatorNode, scene=str(scene), wait_for_command=True)
+        recorder.wait_for('scene', 'robot_description', 'joint_states', 'replay_log', *topics)
+        run(TorqueSourceNode, mode='sine', **sines)
+        states = listener.listen('/joint_states', JointState)
+        listener.wait(lambda: states and np.ptp(
+            [message.position for message in states], axis=0).max() > moved
+            and len(states) > 50, 'motion')
+        recorder.end()
+
+    return drive
 
 
 @pytest.fixture
@@ -69,11 +65,9 @@ def met_exactly(capsys, tmp_path):
     return replayed
 
 
-@pytest.mark.slow
 @pytest.mark.parametrize('scene', ['three_rrr_payload_friction', 'carpet_scraper_on_carpet'])
-def test_a_recorded_run_is_met_exactly_and_animated(
-        processes, listener, tmp_path, met_exactly, scene):
-    recorded(processes, listener, scene, 0.1, amplitude='[8.0]', frequency='[2.0]')
+def test_a_recorded_run_is_met_exactly_and_animated(recorded, tmp_path, met_exactly, scene):
+    recorded(scene, 0.15, amplitude=[8.0], frequency=[2.0])
     assert np.ptp(met_exactly(scene).position, axis=0).max() > 0.1
     animation = tmp_path / 'run.gif'
     assert main(['animate', str(tmp_path / 'bag'), '--output', str(animation),
@@ -83,11 +77,9 @@ def test_a_recorded_run_is_met_exactly_and_animated(
         assert 2 <= frames.n_frames <= 5
 
 
-@pytest.mark.slow
-def test_a_recorded_run_in_space_is_met_exactly_and_drawn(
-        processes, listener, tmp_path, met_exactly):
-    recorded(processes, listener, test_space.file_of(test_space.made('bricard'), tmp_path), 0.2,
-             amplitude='[2.0]', frequency='[2.0]')
+def test_a_recorded_run_in_space_is_met_exactly_and_drawn(recorded, tmp_path, met_exactly):
+    recorded(test_space.file_of(test_space.made('bricard'), tmp_path), 0.2,
+             amplitude=[2.0], frequency=[2.0])
     motion = met_exactly('bricard')
     assert np.ptp(motion.position, axis=0).max() > 0.1
     assert motion.forces.shape[1:] == (1, 6)
@@ -97,12 +89,10 @@ def test_a_recorded_run_in_space_is_met_exactly_and_drawn(
     assert len(list(pictures.glob('*.png'))) == 3
 
 
-def test_a_recorded_run_with_orientations_is_met_exactly(
-        processes, listener, tmp_path, met_exactly):
-    scene = test_space.made('floater')
-    recorded(processes, listener, test_space.file_of(scene, tmp_path), 0.05,
-             topics=['multi_dof_joint_states'], amplitude='[0.2, 0.1, 0.1, 0.2, 0.1]',
-             frequency='[2.0, 1.0, 2.0, 1.0, 2.0]')
+def test_a_recorded_run_with_orientations_is_met_exactly(recorded, tmp_path, met_exactly):
+    recorded(test_space.file_of(test_space.made('floater'), tmp_path), 0.05,
+             topics=['multi_dof_joint_states'], amplitude=[0.2, 0.1, 0.1, 0.2, 0.1],
+             frequency=[2.0, 1.0, 2.0, 1.0, 2.0])
     motion = met_exactly('floater')
     assert motion.position.shape[1] == 13 and motion.velocity.shape[1] == 11
     # The recorder may hear one topic a state before the other, and misses none after that.

@@ -1,62 +1,39 @@
 # SPDX-FileCopyrightText: 2026 The closedloop_dynamics authors
 # SPDX-License-Identifier: Apache-2.0
 
-"""Tests of the simulator as a process of its own, over DDS."""
+"""Simulator and torque source as processes of their own: traffic, signals, and being killed."""
 
 import math
+from pathlib import Path
 import signal
 import time
 
-from geometry_msgs.msg import WrenchStamped
-import numpy as np
+from closedloop_dynamics.recording.message_numbers import stamp_of
+from diagnostic_msgs.msg import DiagnosticArray
+from diagnostic_msgs.msg import DiagnosticStatus
 import pytest
 from rcl_interfaces.srv import GetParameters
 from rcl_interfaces.srv import SetParameters
 from rclpy.parameter import Parameter
-from rclpy.time import Time
 from sensor_msgs.msg import JointState
 from std_msgs.msg import Float64MultiArray
 from std_srvs.srv import SetBool
 from std_srvs.srv import Trigger
 
-SIMULATOR = 'closedloop_simulator'
+from .test_faults import applied
+
+SIMULATOR, SOURCE = 'closedloop_simulator', 'closedloop_torque_source'
 
 
 def stamp(message):
     """Return the stamp of a message [s]."""
-    return Time.from_msg(message.header.stamp).nanoseconds * 1e-9
+    return 1e-9 * stamp_of(message)
 
 
-def test_states_and_forces_come_at_the_rate_asked_for(processes, listener):
-    # Stamped with simulated time, whatever else the machine does.
-    simulator = processes.start(
-        SIMULATOR, scene='three_rrr', publish_rate='50.0', publish_clock='true')
-    states = listener.listen('joint_states', JointState)
-    forces = [listener.listen(f'constraint_forces/cut_{i}', WrenchStamped) for i in (1, 2)]
-    simulator.wait_until_ready()
-
-    def both():
-        stamps = {stamp(message) for message in states}
-        return sum(stamp(message) in stamps for message in forces[0])
-
-    listener.wait(lambda: min(map(len, [states, *forces])) > 100 and both() > 90,
-                  '100 states with forces')
-    assert states[0].name == [*(f'theta_{i}' for i in range(1, 8)), 'cut_1', 'cut_2']
-    assert forces[0][0].header.frame_id == 'world'
-    # On a busy machine a state may come early, after the steps there was time for, or not at all.
-    periods = np.diff([stamp(message) for message in states]) * 50.0
-    np.testing.assert_allclose(20.0 * periods, np.round(20.0 * periods), atol=1e-5)
-    assert np.median(periods) == pytest.approx(1.0, abs=1e-6)
-    # Falling under gravity, with no torque.
-    assert not any(states[-1].effort)
-    assert states[-1].position != states[0].position
-    assert simulator.stop(signal.SIGTERM) == 0
-    assert 'messages published' in simulator.output
-
-
-def applied(states, efforts):
-    """Return whether the last state applies the efforts, of the actuated joints in order."""
-    return bool(states) and [e for e in states[-1].effort if e] == efforts
+def ends_well(process, number=signal.SIGINT):
+    """Check that a signal ends a process with exit code 0 and without a traceback."""
+    assert process.stop(number) == 0, process.output
+    assert 'Traceback' not in process.output
 
 
 def test_others_command_and_change_it(processes, listener):
@@ -115,58 +92,56 @@ def test_others_command_and_change_it(processes, listener):
     assert 'Traceback' not in simulator.output
 
 
-def test_simulators_side_by_side_have_their_names(processes, listener):
-    first = processes.start(SIMULATOR, namespace='/left/arm', scene='three_rrr')
-    second = processes.start(SIMULATOR, scene='four_bar', remap=[
-        'joint_states:=robot/states', 'torque_command:=/drive', '__node:=other',
-        'constraint_forces/cut_1:=pin'])
-    left = listener.listen('/left/arm/joint_states', JointState)
-    right = listener.listen('/robot/states', JointState)
-    forces = listener.listen('/pin', WrenchStamped)
-    first.wait_until_ready()
-    second.wait_until_ready()
-    publisher = listener.publisher('/drive', Float64MultiArray)
-    listener.send(publisher, Float64MultiArray(data=[2.0]), lambda: applied(right, [2.0]),
-                  'state with the torque')
-    seen = len(left)
-    listener.wait(lambda: len(left) > seen + 10 and forces, 'states of the other, and a force')
-    assert len(left[0].name) == 9
-    assert right[0].name == ['crank_joint', 'coupler_joint', 'rocker_joint', 'cut_1']
-    assert not any(any(message.effort) for message in left)
-    assert 'other' in listener.node.get_node_names()
-    assert first.stop() == 0
-    assert second.stop() == 0
+def test_simulator_is_killed_and_started_again_under_traffic(processes, listener):
+    states = listener.listen('joint_states', JointState)
+    source = processes.start('closedloop_torque_source', torque='[1.0, 2.0, 3.0]')
+    for _ in range(2):
+        simulator = processes.start(SIMULATOR, scene='three_rrr').wait_until_ready()
+        states.clear()
+        listener.wait(lambda: applied(states, [1.0, 2.0, 3.0]), 'state with the torques')
+        simulator.stop(signal.SIGKILL)
+    assert source.popen.poll() is None
+    ends_well(source)
 
 
-@pytest.mark.parametrize('parameters, problem', [
-    ({'publish_rate': '0.0'}, 'publish_rate'),
-    pytest.param({'scene': 'no_such_scene'}, 'no_such_scene', marks=pytest.mark.slow),
-    pytest.param({'real_time_factor': 'fast'}, 'real_time_factor', marks=pytest.mark.slow)])
-def test_bad_parameter_is_one_line_and_an_exit_code(processes, parameters, problem):
-    simulator = processes.start(SIMULATOR, **parameters)
-    assert simulator.wait() == 2
-    last = simulator.output.strip().splitlines()[-1]
-    assert '[FATAL]' in last
-    assert problem in last
-    assert 'Traceback' not in simulator.output
+def test_in_lockstep_another_source_goes_on_where_one_was_killed(processes, listener):
+    """A state that was sent to it has no answer, and is published again."""
+    simulator = processes.start(SIMULATOR, scene='three_rrr', mode='lockstep').wait_until_ready()
+    settings = {'mode': 'pd', 'kp': '[100.0]', 'kd': '[10.0]'}
+    states = listener.listen('joint_states', JointState)
+    source = processes.start(SOURCE, **settings)
+    listener.wait(lambda: len(states) > 50, 'motion')
+    source.stop(signal.SIGKILL)
+    simulator.wait_for('published again')
+    count = len(states)
+    another = processes.start(SOURCE, **settings).wait_until_ready()
+    listener.wait(lambda: stamp_of(states[-1]) > stamp_of(states[count - 1]) + 10 ** 9, 'motion')
+    assert another.stop() == simulator.stop() == 0
+    assert 'states published again' in simulator.last_words()
 
 
-def test_stray_argument_is_refused_with_the_right_way_to_say_it(processes):
-    simulator = processes.start(SIMULATOR, arguments=['three_rrr'])
-    assert simulator.wait() == 2
-    assert "unexpected argument 'three_rrr'" in simulator.output
-    assert '--ros-args -p NAME:=VALUE' in simulator.output
+def children(process):
+    """Return the numbers of the processes that a process has started."""
+    number = process.popen.pid
+    return Path(f'/proc/{number}/task/{number}/children').read_text().split()
 
 
-@pytest.mark.parametrize('executable, parameters', [
-    (SIMULATOR, ('scene', 'marker_rate')), ('closedloop_torque_source', ('mode', 'kp')),
-    ('closedloop_recorder', ('topics', 'max_size'))])
-def test_help_lists_the_parameters(processes, executable, parameters):
-    process = processes.start(executable, arguments=['--help'])
-    assert process.wait() == 0
-    for name in parameters:
-        assert f'\n  {name}  (' in process.output
-    assert process.output.startswith(f'usage: {executable} ')
+@pytest.mark.parametrize('number', [
+    pytest.param(signal.SIGTERM, marks=pytest.mark.slow), signal.SIGKILL])
+def test_core_that_is_kept_awake_delays_nothing_and_nothing_stays_behind(
+        processes, listener, number):
+    simulator = processes.start(
+        SIMULATOR, scene='four_bar', publish_rate='1000.0', keep_core_awake='true')
+    simulator.wait_until_ready()
+    states = listener.listen('joint_states', JointState)
+    listener.wait(lambda: len(states) > 500, 'states')
+    keeper, = children(simulator)
+    assert listener.call(SetBool, f'{SIMULATOR}/pause', SetBool.Request(data=True)).success
+    assert children(simulator) == []
+    assert listener.call(SetBool, f'{SIMULATOR}/pause', SetBool.Request(data=False)).success
+    keeper, = children(simulator)
+    assert simulator.stop(number) == (0 if number == signal.SIGTERM else -signal.SIGKILL)
+    listener.wait(lambda: not Path(f'/proc/{keeper}').exists(), 'end of the other process')
 
 
 @pytest.mark.parametrize('pause', [
@@ -185,3 +160,41 @@ def test_signal_while_starting_ends_the_process_at_once(processes):
     simulator = processes.start(SIMULATOR, scene='three_rrr').wait_for('loading scene')
     assert simulator.stop() == 0
     assert 'Traceback' not in simulator.output
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize('number', [signal.SIGINT, signal.SIGTERM])
+def test_signal_while_code_is_generated_ends_the_process(processes, number, tmp_path):
+    for trial, delay in enumerate((0.0, 0.2, 0.5, 1.0)):
+        processes.environment['CLOSEDLOOP_CACHE_DIR'] = str(tmp_path / f'cold_{trial}')
+        simulator = processes.start(SIMULATOR, scene='three_rrr').wait_for('loading scene')
+        time.sleep(delay)
+        ends_well(simulator, number)
+
+
+@pytest.mark.parametrize('number', [
+    signal.SIGINT, pytest.param(signal.SIGTERM, marks=pytest.mark.slow)])
+def test_services_answer_and_signals_are_heard_while_a_step_takes_long(
+        processes, listener, number):
+    # A thousand steps at once, of a crank that reaches 1e5 rad/s: tens of seconds.
+    simulator = processes.start(
+        SIMULATOR, scene='four_bar', mode='lockstep', publish_rate='1.0').wait_until_ready()
+    findings = listener.listen('/diagnostics', DiagnosticArray)
+    publisher = listener.publisher('torque_command', Float64MultiArray)
+    listener.send(publisher, Float64MultiArray(data=[2e4]),
+                  lambda: 'busy: a step at t = 0 s' in simulator.output, 'a long step')
+    for name in ('pause', 'step', 'reset'):
+        kind = SetBool if name == 'pause' else Trigger
+        answer = listener.call(kind, f'{SIMULATOR}/{name}', kind.Request())
+        assert not answer.success and answer.message.startswith('busy: ')
+    result, = listener.call(
+        SetParameters, f'{SIMULATOR}/set_parameters', SetParameters.Request(parameters=[
+            Parameter('step_count', value=5).to_parameter_msg()])).results
+    assert not result.successful and result.reason.startswith('busy: ')
+    assert listener.call(GetParameters, f'{SIMULATOR}/get_parameters', GetParameters.Request(
+        names=['step_count'])).values[0].integer_value == 1
+    listener.wait(lambda: any(
+        status.message.startswith('busy: ') and status.level == DiagnosticStatus.WARN
+        for message in findings for status in message.status), 'a finding')
+    ends_well(simulator, number)
+    assert 'stopped in the midst of a step' in simulator.output
