@@ -136,7 +136,11 @@ def leave(code):
 
 @contextmanager
 def _closing_in_time(code):
-    """End the process with an exit code where the body takes long: DDS may wait for its peers."""
+    """
+    End the process with an exit code where the body takes long: DDS may wait for its peers.
+
+    By a timer, as the main thread is in DDS then and hears nothing.
+    """
     limit = threading.Timer(CLOSE_PATIENCE, os._exit, [code])
     limit.daemon = True
     limit.start()
@@ -162,14 +166,14 @@ def _run_in_context(create_node, name, timed, loses_nothing, limits):
     gc.freeze()
     executor = build_executor()
     executor.add_node(node)
-    overdue = threading.Timer(STOP_PATIENCE, _leave_in_the_midst, [name])
-    overdue.daemon = True
+    ended = threading.Event()
 
     def wake():
-        if loses_nothing:
-            overdue.start()
         # An empty task is what makes a waiting spin_once() return.
         executor.create_task(_nothing)
+        # In the thread that watches for signals, whose next ones change nothing.
+        if loses_nothing and not ended.wait(STOP_PATIENCE):
+            _leave_in_the_midst(name)
 
     _stop.wake = wake
     try:
@@ -177,7 +181,7 @@ def _run_in_context(create_node, name, timed, loses_nothing, limits):
              node if timed else None)
     finally:
         _stop.wake = _nothing
-        overdue.cancel()
+        ended.set()
         node.close()
         if _stop:
             limits.enter_context(_closing_in_time(node.exit_code or 0))
