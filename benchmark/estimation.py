@@ -9,7 +9,7 @@ joints.
 
 ``--coverage``: runs from states drawn about the start, under torques with noise, of six machines:
 how often the true state lies in its 95 % region, how often alarms come where the masses are as
-told, and where one is 1.5 times that. They are drawn again the same for a seed.
+given, and where one is 1.5 times that. They are drawn again the same for a seed.
 """
 
 from dataclasses import replace
@@ -147,8 +147,8 @@ def coverage(scene, runs, seed):
                 alarms[right] += bool(estimator.alarms)
             progress(run + 1, runs)
     shares = [100.0 * count / runs for count in (inside[True], alarms[True], alarms[False])]
-    print('{}: {:.1f} % in the 95 % region; alarms {:.1f} % as told, {:.1f} % with {} {} times as '
-          'heavy'.format(scene, *shares, body, WRONG), flush=True)
+    print('{}: {:.1f} % in the 95 % region; alarms {:.1f} % as given, {:.1f} % with {} {} times '
+          'as heavy'.format(scene, *shares, body, WRONG), flush=True)
 
 
 def main(arguments=None):

@@ -185,7 +185,7 @@ def type_2(method, quick, torques):
 # Redundant constraints.
 
 def redundant(simulation, figure):
-    """Return the worst figure along a motion; infinite where forces are told to be unique."""
+    """Return the worst figure along a motion; infinite where forces are reported as unique."""
     worst = worst_of(simulation, 6, stepped(50), figure)
     return math.inf if simulation.health.unique_forces else worst
 

@@ -305,13 +305,13 @@ def main(arguments=None):
     pictures, only, parts = options.document.parent / 'pictures', options.only or PARTS, {}
     if not options.measured:
         # What is written from here on makes the checkout no other one.
-        told = measured({'machine': description(), 'quick': options.quick})
+        reported = measured({'machine': description(), 'quick': options.quick})
         measure(pictures, options.quick, only)
         measure_beside_others(pictures, options, only)
         if not options.only:
-            parts['machine'] = parts['methods machine'] = told
+            parts['machine'] = parts['methods machine'] = reported
         if MACHINES in only:
-            parts['machines machine'] = told
+            parts['machines machine'] = reported
     parts.update(passages(pictures))
     fill_pages(options.document.parent, parts)
     return 0

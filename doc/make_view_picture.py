@@ -128,7 +128,7 @@ def draw(tab):
     tab.ask('Object.assign(page.edit.board, {middle: [0.05, 0.03], scale: 3900})')
     jansens_leg(hand)
     hand.click('select', (0.09, 0.08))
-    hand.told()
+    hand.reported()
     tab.click('#board [data-do=fit]')
 
 

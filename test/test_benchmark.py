@@ -198,7 +198,7 @@ def test_the_best_of_the_others_is_the_cheapest_that_keeps_an_error(benchmark, t
         report.table(results, 0))
 
 
-def test_why_a_machine_is_not_measured_in_others_is_told_apart(benchmark, tmp_path):
+def test_why_a_machine_is_not_measured_in_others_is_named(benchmark, tmp_path):
     machines, report = benchmark('all_machines'), benchmark('all_machines_report')
     usual = {'kind': 'scene', 'rate': 0, 'known_to': 1e-12, 'duration': 1.0}
     ours = {**usual, 'engine': machines.OURS, 'setting': 'accuracy 1e-03', 'target': 1e-3,
@@ -246,9 +246,9 @@ def test_estimators_are_timed_and_their_bands_counted(benchmark, monkeypatch, ca
     cycle, bands = capsys.readouterr().out.splitlines()
     error = re.match(r'three_rrr: a cycle [0-9.]+ us, largest error of rates (.*)', cycle)[1]
     assert float(error) < 3.0 * estimation.RATE
-    inside, told = map(float, re.match(
-        r'four_bar: ([0-9.]+) % in .*; alarms ([0-9.]+) % as told', bands).groups())
-    assert inside > 70.0 and told <= 5.0
+    inside, reported = map(float, re.match(
+        r'four_bar: ([0-9.]+) % in .*; alarms ([0-9.]+) % as given', bands).groups())
+    assert inside > 70.0 and reported <= 5.0
 
 
 def test_samples_a_second_stand_beside_their_error(benchmark, monkeypatch, capsys, tmp_path):
@@ -505,7 +505,7 @@ def test_peers_agree(benchmark, engine):
         assert row['error'] < 2e-2 and all(other['error'] < 1e-5 for other in others)
 
 
-def test_a_simulator_that_was_told_another_machine_is_refused(benchmark):
+def test_a_simulator_that_was_given_another_machine_is_refused(benchmark):
     cases, runner = benchmark('peer_cases'), benchmark('peer_runner')
     machine = cases.Machine('four_bar', cases.load_scene('four_bar'))
     (ours,), why = runner.engines(machine, ['peer_ours'])

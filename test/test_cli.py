@@ -115,15 +115,16 @@ def test_check_assembles_as_simulate_does(capsys, tmp_path):
     assert errors.splitlines()[-1] == refused.replace('loop check', 'loop simulate')
 
 
-def test_a_start_that_may_not_be_meant_is_told_by_check_and_simulate(capsys, tmp_path):
+def test_a_start_that_may_not_be_meant_is_reported_by_check_and_simulate(capsys, tmp_path):
     scene = tmp_path / 'scene.yaml'
     scene.write_text((START % ('7.33', '3.0')).replace(', rocker_joint]', ']'))
-    code, text, told = call(capsys, 'check', scene)
+    code, text, reported = call(capsys, 'check', scene)
     assert code == 0 and 'closed position' in text
-    assert 'beyond 2 pi: crank_joint = 7.33' in told and 'rocker_joint moved from 3 to 1.7' in told
+    assert 'beyond 2 pi: crank_joint = 7.33' in reported
+    assert 'rocker_joint moved from 3 to 1.7' in reported
     code, _, simulated = call(capsys, 'simulate', scene, '--duration', '0.01')
     assert code == 0
-    warned = [line for line in told.splitlines() if line.startswith('closedloop')]
+    warned = [line for line in reported.splitlines() if line.startswith('closedloop')]
     assert len(warned) == 2
     for line in warned:
         assert line.replace('loop check', 'loop simulate') in simulated
@@ -216,7 +217,7 @@ def test_forces_of_all_joints_are_written_by_name(capsys, tmp_path):
             simulation.point('coupler_point').tolist())
 
 
-def test_warnings_are_told_in_one_line(capsys, monkeypatch):
+def test_warnings_are_reported_in_one_line(capsys, monkeypatch):
     report = Simulation.report
 
     def warn(simulation):
@@ -229,15 +230,15 @@ def test_warnings_are_told_in_one_line(capsys, monkeypatch):
     assert 'closedloop simulate: something to know\n' in errors
 
 
-@pytest.mark.parametrize('options, told', [
+@pytest.mark.parametrize('options, reported', [
     (('--step-size', '0.002'), 'in steps of 0.002 s ('),
     (('--step-size', '0.5'), 'in steps of 0.01 s, from row to row, instead of 0.5 s ('),
     (('--step-size', '0.004'), 'in steps of at most 0.004 s (')])
-def test_simulate_tells_the_steps_that_were_made(capsys, options, told):
+def test_simulate_tells_the_steps_that_were_made(capsys, options, reported):
     code, text, _ = call(capsys, 'simulate', 'four_bar', '--duration', '0.02', '--integrator',
                          'rk4', *options)
     assert code == 0
-    assert told in text
+    assert reported in text
 
 
 # On scenes for which other tests compile these, too.

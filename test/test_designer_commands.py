@@ -455,7 +455,7 @@ initial: {position: {crank_joint: 0.0, lever_joint: 1.19}, hold: [crank_joint]}
     assert cycle.opened(run) == {}
 
 
-def test_a_linkage_that_does_not_return_is_told(tmp_path, capsys):
+def test_a_linkage_that_does_not_return_is_reported(tmp_path, capsys):
     # Of two cranks geared three to two a turn of the one is not a turn of the other.
     scene = tmp_path / 'scene.yaml'
     scene.write_text(GEARED)
@@ -483,12 +483,12 @@ def test_tolerances_are_by_kind(tmp_path, capsys):
     assert set(design.tolerated_keys(scene).values()) == {'length'}
     text = Path(scene.path).read_text()
     page = tmp_path / 'page.html'
-    for given, told in ((['--tolerance', '0.2mm'], '(length) 0.0002 m'),
-                        (['--tolerance', 'coupler=0.5mm'], 'coupler (length) 0.0005 m')):
+    for given, reported in ((['--tolerance', '0.2mm'], '(length) 0.0002 m'),
+                            (['--tolerance', 'coupler=0.5mm'], 'coupler (length) 0.0005 m')):
         code, _, errors = call(capsys, 'report', scene.path, '--output', page, '--overwrite',
                                '--drive', 'crank_joint=0:1:5', *given)
         assert code == 0, errors
-        assert told in page.read_text(), text
+        assert reported in page.read_text(), text
     code, _, errors = call(capsys, 'report', scene.path, '--output', page, '--overwrite',
                            '--tolerance', 'nothing=1')
     assert code == 2 and 'expected one of length, lead, angle, ratio' in errors

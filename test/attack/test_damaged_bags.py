@@ -111,7 +111,7 @@ def outcome(path, original, finished):
         found = [(message.topic.name, message.time, message.data)
                  for message in bag.serialised()]
         cut = not bag.finished and found == original[:len(found)]
-        told = bool(bag.damages) or (finished and not bag.finished)
+        reported = bool(bag.damages) or (finished and not bag.finished)
         for _ in Bag(path).messages():
             pass
     except BagReadError:
@@ -124,15 +124,15 @@ def outcome(path, original, finished):
             complaints.append('error')
     if found == original:
         return 'accepted'
-    if not told and not cut:
+    if not reported and not cut:
         return 'silent'
     # The replay reports what the reader does.
-    return 'told' if complaints or not bag.damages else 'silent'
+    return 'reported' if complaints or not bag.damages else 'silent'
 
 
 @pytest.mark.parametrize('count', [
     2, pytest.param(100, marks=pytest.mark.slow)])
-def test_damaged_bags_end_in_an_error_or_are_told(tmp_path, capsys, count):
+def test_damaged_bags_end_in_an_error_or_are_reported(tmp_path, capsys, count):
     results, worst = Counter(), []
     for number, variant in enumerate(VARIANTS):
         whole = tmp_path / f'whole_{number}'
@@ -155,6 +155,6 @@ def test_damaged_bags_end_in_an_error_or_are_told(tmp_path, capsys, count):
     capsys.readouterr()
     with capsys.disabled():
         print(f'\ndamaged bags: {results.total()} tried, {results["error"]} clean errors, '
-              f'{results["accepted"]} accepted unharmed, {results["told"]} accepted with the '
-              f'damage told, {results["traceback"]} tracebacks, {results["silent"]} silent')
+              f'{results["accepted"]} accepted unharmed, {results["reported"]} accepted with the '
+              f'damage reported, {results["traceback"]} tracebacks, {results["silent"]} silent')
     assert not worst, '\n'.join(worst)

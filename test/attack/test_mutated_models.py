@@ -17,7 +17,7 @@ from closedloop_dynamics.mechanism.reader import read_mechanism
 import numpy as np
 import pytest
 
-from .test_mutated_scenes import mutated, put, swap, told, WORD
+from .test_mutated_scenes import mutated, put, reported, swap, WORD
 from ..formats import machines, test_programs, test_sdf
 try:
     from ..formats import test_mjcf, test_mjcf_forces
@@ -98,6 +98,6 @@ def test_damaged_models_are_refused_in_words_or_right(tmp_path, kind, count):
         counts[outcome] += 1
         if outcome == 'silent':
             bad.append(f'{number}: {content!r}')
-    told(counts)
+    reported(counts)
     assert not bad, '\n'.join(bad)
     assert min(counts['clean errors'], counts['accepted']) > 0.05 * count

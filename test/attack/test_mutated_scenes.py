@@ -134,7 +134,7 @@ def accepted_state(path):
     return finite and simulation.closure <= 1e-9 * max(size, 1.0)
 
 
-def told(counts):
+def reported(counts):
     print(', '.join(f'{name} {counts[name]}' for name in (
         'tried', 'clean errors', 'accepted', 'tracebacks', 'silent')))
 
@@ -185,7 +185,7 @@ def test_mutated_scenes_are_refused_in_words_or_right(tmp_path, capsys, count):
                 shutil.copy(tmp_path / name, kept)
             bad.append(f'{kept}: {outcome}')
     counts['tried'] = count
-    told(counts)
+    reported(counts)
     assert not bad, '\n'.join(bad)
     # Damages that nobody notices would test nothing.
     assert min(counts['clean errors'], counts['accepted']) > 0.05 * count
@@ -257,6 +257,6 @@ def test_command_lines_are_refused_in_words_or_done(tmp_path, monkeypatch, capsy
         if outcome in ('tracebacks', 'silent'):
             bad.append(f'{outcome}: {" ".join(map(repr, arguments))[:200]}')
     counts['tried'] = count
-    told(counts)
+    reported(counts)
     assert not bad, '\n'.join(bad)
     assert min(counts['clean errors'], counts['accepted']) > 0.02 * count

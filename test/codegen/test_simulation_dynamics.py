@@ -150,7 +150,7 @@ def test_a_closed_state_is_set_bit_for_bit():
     assert simulation.data.assembly_notes() == []
 
 
-def test_an_unknown_part_of_the_method_is_told_with_the_known_ones():
+def test_an_unknown_part_of_the_method_is_reported_with_the_known_ones():
     with pytest.raises(ValueError, match='method.step: expected one of the keys integrator, '
                                          "step_size, .* got the unknown key 'step' .did you mean "
                                          "'step_size'"):

@@ -134,7 +134,7 @@ def test_a_ball_in_a_bowl_swings_like_a_pendulum():
     assert one.position[0] - 0.3 == pytest.approx(-reach, rel=1e-3)
 
 
-def test_shapes_of_the_plane_and_of_space_are_told_apart():
+def test_shapes_of_the_plane_and_of_space_are_distinguished():
     with pytest.raises(FieldError, match='shape: expected plane or sphere or cylinder in space'):
         BodyContact('in_one', 'in_two', 'line', 1.0).fit(balls('one', 'two'))
     with pytest.raises(FieldError, match='shape: expected line or circle or curve or face in '

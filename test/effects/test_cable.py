@@ -206,7 +206,7 @@ def test_a_cable_that_would_leap_by_a_turn_names_itself_and_its_pulley(
     assert abs(simulation.energy_balance.residual) < 1e-6
 
 
-def test_a_rope_with_a_wrong_sign_is_told_at_the_start():
+def test_a_rope_with_a_wrong_sign_is_reported_at_the_start():
     scene = load_scene('rope_hoist')
     assert not Simulation(scene).data.start_notes()
     for radii in ((0.0, -0.1, -0.1, 0.0), (0.0, 0.1, 0.1, 0.0), (0.0, -0.1, 0.1, 0.0)):

@@ -28,7 +28,7 @@ def sliding():
     return simulation
 
 
-def test_it_rests_until_it_is_told(sliding):
+def test_it_rests_until_it_is_commanded(sliding):
     assert sliding.data.commanded_motions == ('slide',)
     assert sliding.position[0] == 0.3
     assert sliding.motion_forces['drive'] == 0.0
@@ -138,7 +138,7 @@ def test_a_point_is_commanded_by_the_name_of_its_effect():
 
 @pytest.mark.slow
 def test_loops_in_space_follow_and_end_where_they_cannot():
-    # Beyond what the scene's crank can do, told while it runs.
+    # Beyond what the scene's crank can do, commanded while it runs.
     simulation = Simulation.from_scene('rssr_four_bar', {
         'rocker': PrescribedMotion('commanded', joint='rocker')}, integrator='rk4')
     place = simulation.joint_names.index('rocker')

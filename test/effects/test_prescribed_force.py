@@ -106,7 +106,7 @@ def test_a_cycloid_rises_and_falls_by_its_closed_form():
         assert reading() == pytest.approx(1.0 + 2.0 * share, abs=1e-12)
 
 
-def test_a_period_begins_again_and_work_is_told():
+def test_a_period_begins_again_and_work_is_reported():
     force = PrescribedForce('table', 'slide', times=(0.0, 0.1, 0.25), values=(1.0, -1.0, 4.0),
                             period=0.25, interpolation='step')
     simulation = simulated(block(1.0), {'push': force}, [0.0], step_size=0.02)

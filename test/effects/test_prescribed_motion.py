@@ -176,7 +176,7 @@ def test_the_force_on_a_point_along_a_line_is_that_of_newton():
     assert_balanced(simulation, 1e-10)
 
 
-def test_a_motion_that_starts_elsewhere_is_told_and_the_loops_close_there():
+def test_a_motion_that_starts_elsewhere_is_reported_and_the_loops_close_there():
     with pytest.warns(RuntimeWarning, match='crank_joint starts at 0.8, .* not at 1.0472'):
         simulation = moved('slider_crank', crank_joint='0.8 + 0*t')
     assert simulation.position[0] == pytest.approx(0.8, abs=1e-12)
@@ -218,7 +218,7 @@ def test_a_moved_joint_takes_no_torque():
 
 
 @pytest.mark.parametrize('integrator', ['auto', 'rk4'])
-def test_a_slider_that_ends_at_its_dead_centre_is_told_so(integrator):
+def test_a_slider_that_ends_at_its_dead_centre_is_reported(integrator):
     # Crank 0.1 m, rod 0.3 m: at 0.4 m both lie in line, and the crank would need any rate.
     profile = PrescribedMotion('table', joint='slider_joint', times=(0.0, 0.5, 1.0),
                                values=(0.337228, 0.37, 0.4))

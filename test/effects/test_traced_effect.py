@@ -219,7 +219,7 @@ def test_a_record_that_is_copied_is_of_the_same_class(files):
     assert other.traced.arithmetic == one.traced.arithmetic
 
 
-def test_code_that_fails_is_told(files, capsys):
+def test_code_that_fails_is_reported(files, capsys):
     scene, code = files
     code.write_text('raise RuntimeError("broken")')
     with pytest.raises(SystemExit) as end:

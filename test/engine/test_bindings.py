@@ -240,7 +240,7 @@ def test_an_object_of_another_type_is_no_system(system):
             type(other)()
 
 
-def test_what_is_refused_is_told_by_its_declaration(system):
+def test_what_is_refused_is_reported_by_its_declaration(system):
     one, _ = system
     with pytest.raises(ValueError, match=re.escape(
             r'forward_dynamics: expected tau[V], where V = 7, got [3]')):

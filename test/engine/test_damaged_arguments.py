@@ -241,8 +241,8 @@ def use_kernels(simulation, note):
     call('apply_effects', effects, work.body, np.resize(q, nv), qd, system.tau)
     call('expression_value', np.array(program('2*sin(3*t)')), 0, 0.1)
     call('load_joints', handle, model, work, qd, system.qdd, system.lam)
-    told, = effect_table.for_engine([effects.elements[0]], effects.is_spatial, True)
-    call('put_effect', effects, 0, told)
+    reported, = effect_table.for_engine([effects.elements[0]], effects.is_spatial, True)
+    call('put_effect', effects, 0, reported)
     call('minimise_in_box', effects, len(effects.static_friction.rows) - 1,
          np.zeros(len(effects.static_friction.rows)))
     cuts = effects.cuts

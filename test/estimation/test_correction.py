@@ -52,7 +52,7 @@ def test_update_equals_the_textbook_without_sensors_that_are_gated(left_out):
     np.testing.assert_allclose(found['whitened'].T @ found['others'], gain @ others, rtol=1e-10)
 
 
-def test_covariance_that_is_not_positive_definite_is_told():
+def test_covariance_that_is_not_positive_definite_is_reported():
     covariance, slope = -np.eye(2), np.eye(2)
     done, _ = corrected(covariance, slope, np.zeros(2), np.full(2, 0.5), np.arange(3),
                         np.full(2, np.inf), np.zeros((2, 0)))

@@ -81,7 +81,7 @@ def test_bags_in_and_out(capsys, tmp_path):
     assert (spread.position > 0.0).all() and last.header.stamp.sec == 10 ** 9
 
 
-def test_a_load_that_nobody_told_of_does_not_fit(capsys, run, tmp_path):
+def test_a_load_that_nobody_named_does_not_fit(capsys, run, tmp_path):
     """The machine of another mass: exit code 1, and what does not fit."""
     path = tmp_path / 'sensors.yaml'
     path.write_text(re.sub(r'unknowns:\n.*\n', '', SENSORS.read_text()))

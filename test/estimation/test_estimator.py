@@ -28,7 +28,7 @@ def follow(estimator, record, torque_noise=0.0, each=lambda k: None):
     """
     Let an estimator take a record as it comes, and call a function after each instant.
 
-    ``torque_noise``: standard deviation of torques as they are told, as a share of the largest.
+    ``torque_noise``: standard deviation of torques as they are given, as a share of the largest.
     """
     sizes, rng = np.abs(record.torques).max(axis=0), np.random.default_rng(4)
     for k, time in enumerate(record.times):
@@ -77,7 +77,7 @@ def test_latency_is_subtracted():
     assert estimator.consistency.sensors['pivot'].refused == 1
 
 
-def test_outliers_are_gated_and_silence_is_told(model):
+def test_outliers_are_gated_and_silence_is_reported(model):
     sensors = encoders(DRIVEN, DEVIATION, rate=100.0)
     estimator = Estimator(model, sensors, (), Noise(1.0))
     record, _ = Machine(model, held_path(model)).run(0.3, 0.01, positions_of(DRIVEN, DEVIATION))
@@ -205,7 +205,7 @@ def test_other_masses_raise_an_alarm(model, share, alarmed):
         assert (estimator.alarms[0].kind, estimator.alarms[0].name) == ('mass', 'platform_mass')
 
 
-def test_observability_names_what_cannot_be_told_apart(model):
+def test_observability_names_what_cannot_be_distinguished(model):
     unknowns = [
         Payload('tool', body='platform', deviation=1.0, position=(0.2, 0.1155)),
         Number('mass', key='mechanism.bodies.platform.mass', deviation=1.0),
@@ -319,9 +319,9 @@ def test_instruments_and_suspects_with_points_of_sigma_equal_derivatives(model):
         estimator = Estimator(*arguments, method, suspects=suspects, gate=1.0 - 1e-15)
         follow(estimator, record)
         readings = {'imu': [0.0, 0.1, 9.0], 'force': [0.1, 2.0, 30.0]}
-        told = estimator.filter.updated(estimator.belief_at_work, {
+        reported = estimator.filter.updated(estimator.belief_at_work, {
             name: np.array(values) for name, values in readings.items()})
-        found.append((estimator.belief_at_work, *told))
+        found.append((estimator.belief_at_work, *reported))
     one, other = found
     np.testing.assert_allclose(one[0].signature, other[0].signature, rtol=1e-3, atol=1e-7)
     for first, second in zip(one[2], other[2]):

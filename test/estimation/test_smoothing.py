@@ -54,11 +54,11 @@ def test_smoother_is_nearer_to_the_truth_and_knows_it(case):
     assert np.abs((middle.positions.value - states[30].q) / middle.positions.deviation).max() < 5.0
 
 
-def test_progress_is_told(case):
+def test_progress_is_reported(case):
     _, _, arguments = case
-    told = []
-    smooth(*arguments, progress=told.append)
-    assert told[-1] == 1.0 and sorted(told) == told
+    reported = []
+    smooth(*arguments, progress=reported.append)
+    assert reported[-1] == 1.0 and sorted(reported) == reported
 
 
 def test_readings_that_are_missing_are_passed_over(case):

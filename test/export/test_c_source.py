@@ -251,9 +251,9 @@ def test_commands_tell_what_the_code_costs(tmp_path, capsys):
     costs = list(c_cost(Simulation.from_scene('four_bar')).lines())
     assert all(line in checked for line in costs)
     assert main(['export', 'four_bar', '--output', str(tmp_path / 'four_bar.c')]) == 0
-    told = capsys.readouterr().out
-    assert all(line in told for line in costs) and 'steps of 0.001 s: in 1 s' in told
-    assert 'single precision' not in told
+    reported = capsys.readouterr().out
+    assert all(line in reported for line in costs) and 'steps of 0.001 s: in 1 s' in reported
+    assert 'single precision' not in reported
     assert main(['export', 'four_bar', '--output', str(tmp_path / 'a.fmu'), '--float32']) == 2
     assert '--float32: expected it with an output that ends with .c' in capsys.readouterr().err
     assert main(['check', 'cam_follower', '--c']) == 1

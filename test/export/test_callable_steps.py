@@ -72,7 +72,7 @@ def test_rows_are_steps_and_both_derivatives_agree(name):
             for k in (1, -1)]
     for one, up, down in zip(changed, *both):
         np.testing.assert_allclose(one, (up - down) / (2 * step), rtol=0, atol=1e-8)
-    # What fails is told by its number.
+    # What fails is named by its number.
     given[0][2] += 0.1
     code, _ = called(of, of.step, given, of.shapes[:2])
     error = failure(code)

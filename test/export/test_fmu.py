@@ -295,12 +295,13 @@ def test_a_unit_warns_of_its_step_size_in_the_words_of_the_package(version, tmp_
     with pytest.warns(InaccuracyWarning) as warned:
         for _ in range(60):
             simulation.step(None, 0.05)
-    status, told = lines[0].split(' ', 1)
+    status, reported = lines[0].split(' ', 1)
     ours = str(warned[0].message)
     assert (status, len(lines), len(warned)) == ('1', 1, 1)
     words, number = ' does not follow this motion. ', r'\d[-+.\de]*'
-    assert told.startswith('logStatusWarning ') and told.endswith('Take a smaller step_size.')
-    (found, _), (expected, _) = (one.split(words) for one in (told.split(' ', 1)[1], ours))
+    assert reported.startswith('logStatusWarning ')
+    assert reported.endswith('Take a smaller step_size.')
+    (found, _), (expected, _) = (one.split(words) for one in (reported.split(' ', 1)[1], ours))
     assert re.sub(number, '', found) == re.sub(number, '', expected)
     np.testing.assert_allclose(*([float(one) for one in re.findall(r' (\d[\d.e-]*)', text)]
                                  for text in (found, expected)), rtol=6e-3)
@@ -593,6 +594,6 @@ def test_the_command_writes_units_and_tells_what_they_lack(tmp_path, capsys):
     assert '--fmi: expected it with an output that ends with .fmu' in capsys.readouterr().err
 
 
-def test_what_does_not_compile_is_told_with_the_reason():
+def test_what_does_not_compile_is_reported_with_the_reason():
     with pytest.raises(SimulationError, match='could not be compiled'):
         compiled({'machine.c': '', 'fmu.c': 'no C'}, 'fmu.c')

@@ -234,7 +234,7 @@ def test_names_that_are_made_up_are_none_of_the_file(tmp_path):
     assert [body.name for body in mechanism.bodies] == ['a', 'a_1_', 'a_1', 'a_1_1', 'a_fixed']
 
 
-def test_warnings_of_mujoco_are_told_and_write_no_file(tmp_path, monkeypatch, capfd):
+def test_warnings_of_mujoco_are_reported_and_write_no_file(tmp_path, monkeypatch, capfd):
     monkeypatch.chdir(tmp_path)
     part = ('<mujoco model="part"><option timestep="0.01"/><worldbody><body name="b"><joint/>'
             '<geom size="0.1"/></body></worldbody></mujoco>')
@@ -246,9 +246,9 @@ def test_warnings_of_mujoco_are_told_and_write_no_file(tmp_path, monkeypatch, ca
     assert mujoco.get_mju_user_warning() is before
     assert {path.name for path in tmp_path.iterdir()} == {'model.xml', 'part.xml'}
     assert not capfd.readouterr().err
-    told = {text for text, why in ignored.items() if why == 'a warning of MuJoCo'}
+    reported = {text for text, why in ignored.items() if why == 'a warning of MuJoCo'}
     # Older versions say nothing of it.
-    assert not told or any('timestep' in text for text in told)
+    assert not reported or any('timestep' in text for text in reported)
 
 
 def test_actuators_of_several_outputs(tmp_path):
@@ -311,7 +311,7 @@ def test_a_weld_whose_torques_count_nothing_is_a_ball(tmp_path, kind):
         np.linalg.norm(data.efc_pos[:3]), rel=1e-9)
 
 
-def test_what_acts_is_read_and_the_rest_is_told(tmp_path):
+def test_what_acts_is_read_and_the_rest_is_reported(tmp_path):
     imported = read_model(written(tmp_path, TREE))
     assert imported.mechanism.actuated_joints == ('hinge',)
     assert imported.effects['gravity']['acceleration'] == (0.5, -1.0, -9.0)
@@ -428,7 +428,7 @@ def test_numbers_that_mujoco_might_compute_on_without_an_end_are_refused(tmp_pat
         read_model(written(tmp_path, text))
 
 
-def test_what_mujoco_refuses_is_told(tmp_path):
+def test_what_mujoco_refuses_is_reported(tmp_path):
     for text, said in (
             ('<mujoco><worldbody><body><joint/></body></worldbody></mujoco>', 'mass and inertia'),
             ('<mujoco><worldbody><x/></worldbody></mujoco>', 'x')):

@@ -222,7 +222,7 @@ def test_faults_name_file_line_and_element(tmp_path, fault):
     ('gz-sim-joint-state-publisher-system', False), ('libgazebo_ros_camera.so', False),
     ('gz-sim-pose-publisher-system', False), ('libgazebo_ros_imu_sensor.so', False),
     ('libgazebo_ros_joint_state_publisher.so', False), ('gz-sim-scene-broadcaster-system', False)])
-def test_programs_that_join_couple_or_drive_are_told_as_such(tmp_path, name, acts):
+def test_programs_that_join_couple_or_drive_are_reported_as_such(tmp_path, name, acts):
     for text, path in (
             (four_bar().replace('</robot>', f'<gazebo><plugin name="p" filename="{name}"/>'
                                 '</gazebo></robot>'), 'robot.urdf'),
@@ -235,7 +235,7 @@ def test_programs_that_join_couple_or_drive_are_told_as_such(tmp_path, name, act
                    for line in lines(imported, 1.0)) == acts
 
 
-def test_a_child_in_another_model_is_told(tmp_path):
+def test_a_child_in_another_model_is_reported(tmp_path):
     text = robot(LINKS, CLOSED, PIN, f'<gazebo>{DETACHABLE}</gazebo>').replace(
         '<child_model>four_bar', '<child_model>table')
     imported = read(tmp_path, text)
@@ -244,7 +244,7 @@ def test_a_child_in_another_model_is_told(tmp_path):
     assert freedoms(imported) is not None and not imported.mechanism.cut_joints
 
 
-def test_what_names_two_links_and_nobody_knows_is_told(tmp_path):
+def test_what_names_two_links_and_nobody_knows_is_reported(tmp_path):
     for element in ('<rope a="crank" b="rocker"/>',
                     '<rope><a>crank</a><b link="rocker"/></rope>'):
         imported = read(tmp_path, four_bar().replace('</robot>', f'{element}</robot>'))

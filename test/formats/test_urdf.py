@@ -59,7 +59,7 @@ def test_parallel_yaml_replaces_joints(tmp_path):
     assert mechanism.cut_joints[0].type == 'fixed'
 
 
-def test_joints_called_spherical_that_are_not_are_told(tmp_path):
+def test_joints_called_spherical_that_are_not_are_reported(tmp_path):
     written(tmp_path, 'closed_loop: [[coupler_tip, rocker_tip]]\ntype: [6d]\n', 'robot.yaml')
     text = robot(LINKS, TREE, TIPS).replace('rocker_joint', 'spherical_rocker')
     assert read(tmp_path, text).ignored[
@@ -216,7 +216,7 @@ def test_limits_become_end_stops_where_asked_for(tmp_path):
         'type': 'end_stop', 'joint': 'crank_joint', 'stiffness': 1e4, 'lower': -1.0, 'upper': 2.0}
 
 
-def test_what_is_not_read_is_told(tmp_path):
+def test_what_is_not_read_is_reported(tmp_path):
     text = four_bar().replace('</robot>', '<sensor name="s"/><colour/><colour/></robot>').replace(
         '<link name="base"/>', '<link name="base"><collision/></link>')
     ignored = read(tmp_path, text).ignored

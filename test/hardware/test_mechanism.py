@@ -262,7 +262,7 @@ def test_a_joint_is_held_from_the_moment_on_it_is_commanded(obey):
     assert np.abs(after[3]).max() > 0.1
 
 
-def test_faults_keep_the_state_and_are_told(obey):
+def test_faults_keep_the_state_and_are_reported(obey):
     before = obey('state theta_1 theta_2')
     for orders, fault in (
             (['advance -1 1'], 'expected a period of 0 or more [s]'),

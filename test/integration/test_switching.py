@@ -104,7 +104,7 @@ def test_the_accuracy_is_kept_under_torques_that_change():
     assert error <= 1e-6
 
 
-def test_a_motion_too_sensitive_for_its_accuracy_is_told():
+def test_a_motion_too_sensitive_for_its_accuracy_is_reported():
     simulation = Simulation.from_scene('three_rrr')
     simulation.step({'theta_1': 3000.0}, 1.0)
     finding, = simulation.report().findings

@@ -130,7 +130,7 @@ def test_a_closed_state_is_taken_as_it_is(hold):
     assert np.array_equal(one.velocities(q, qd, hold), qd)
 
 
-def test_the_branch_is_that_of_the_guess_or_it_is_told():
+def test_the_branch_is_that_of_the_guess_or_it_is_reported():
     scene = load_scene('four_bar')
     one, hold = assembler(scene.mechanism), ('crank_joint',)
 
@@ -138,7 +138,7 @@ def test_the_branch_is_that_of_the_guess_or_it_is_told():
         # Which way the coupler and the rocker are bent at the pin between them.
         return np.sign(np.sin(q[2] - q[0] - q[1]))
 
-    told, rng = 0, np.random.default_rng(0)
+    reported, rng = 0, np.random.default_rng(0)
     start = one.positions(scene.initial.position, hold)
     for _ in range(60):
         guess = start + [0.0, *rng.uniform(-2.5, 2.5, 2)]
@@ -151,8 +151,8 @@ def test_the_branch_is_that_of_the_guess_or_it_is_told():
         note = ' '.join(one.notes(guess, STILL, q, STILL, hold))
         assert ('mirrored' in note) == (bend(q) != bend(guess))
         assert ('moved from' in note) == (np.abs(q - guess).max() > 0.5)
-        told += 'mirrored' in note
-    assert told > 3
+        reported += 'mirrored' in note
+    assert reported > 3
     for guess in start + rng.uniform(-0.3, 0.3, (20, 3)) * [0, 1, 1]:
         assert np.allclose(one.positions(guess, hold), start, atol=1e-9)
 
@@ -197,7 +197,7 @@ def test_too_many_and_too_few_held_joints_are_counted_by_what_can_move():
         assembler(scene.mechanism).positions(scene.initial.position, ('theta_1',))
 
 
-def test_velocities_that_become_others_are_told():
+def test_velocities_that_become_others_are_reported():
     scene = load_scene('four_bar')
     one = assembler(scene.mechanism)
     q = one.positions(scene.initial.position)
@@ -250,7 +250,7 @@ def test_equations_that_depend_everywhere_are_no_change_point():
     assert np.allclose(one.velocities(q, [1.0, 0, 0, 0, 0], ('crank_joint',)), [1, -1, 1, 1, 1])
 
 
-def test_angles_in_degrees_are_told():
+def test_angles_in_degrees_are_reported():
     mechanism = load_scene('four_bar').mechanism
     note, = angle_notes(mechanism, [60.0, -0.5, 6.0])
     assert 'crank_joint = 60.' in note and 'degrees?' in note and 'rocker' not in note

@@ -1,7 +1,7 @@
 # SPDX-FileCopyrightText: 2026 The closedloop_dynamics authors
 # SPDX-License-Identifier: Apache-2.0
 
-"""A four-bar that goes through flat, or nearly: the right branch, or told that it is undecided."""
+"""A four-bar that goes through flat, or nearly: the right branch, or reported as undecided."""
 
 from collections import Counter
 from dataclasses import replace
@@ -81,12 +81,12 @@ def apart(angles, others):
     return np.abs((angles - others + np.pi) % (2.0 * np.pi) - np.pi).max()
 
 
-def is_told(report):
+def is_reported(report):
     """Return whether a run says that its branch is undecided, and of no bound."""
-    told = any('undecided' in finding for finding in report.findings)
-    assert told == report.branch_undecided
-    assert not told or np.isnan(report.error_bound)
-    return told
+    reported = any('undecided' in finding for finding in report.findings)
+    assert reported == report.branch_undecided
+    assert not reported or np.isnan(report.error_bound)
+    return reported
 
 
 METHODS = [Method(), Method(integrator='dop853', tolerance=1e-12),
@@ -95,8 +95,8 @@ METHODS = [Method(), Method(integrator='dop853', tolerance=1e-12),
 
 @pytest.mark.parametrize('method', METHODS, ids=lambda method: method.integrator)
 @pytest.mark.parametrize('sign', [1.0, -1.0])
-def test_near_flat_the_branch_is_right_or_told_to_be_undecided(sign, method):
-    told = []
+def test_near_flat_the_branch_is_right_or_reported_to_be_undecided(sign, method):
+    reported = []
     for power in range(3, 13):
         bars = Bars(longer=sign * 10.0 ** -power)
         simulation = bars.started(method=method)
@@ -106,14 +106,14 @@ def test_near_flat_the_branch_is_right_or_told_to_be_undecided(sign, method):
             # Fixed steps cannot turn round in a step, and say so.
             assert method.integrator == 'rk4' and power < 8
             continue
-        if is_told(simulation.report()):
-            told.append(power)
+        if is_reported(simulation.report()):
+            reported.append(power)
         else:
             # Integrators err along the branch; off it only as loops are open.
             assert bars.error(simulation.position) < 1e-9, (power, simulation.position)
     # To 1e-6 it is followed; from 1e-8 on it is not believed.
-    assert all(power > 6 for power in told)
-    assert {8, 9, 10, 11, 12} <= set(told)
+    assert all(power > 6 for power in reported)
+    assert {8, 9, 10, 11, 12} <= set(reported)
 
 
 @pytest.mark.parametrize('count', [10, pytest.param(300, marks=[
@@ -136,8 +136,8 @@ def test_no_random_linkage_changes_its_branch_in_silence(count, monkeypatch):
         except SimulationError:
             found['refused'] += 1
             continue
-        if is_told(simulation.report()):
-            found['told'] += 1
+        if is_reported(simulation.report()):
+            found['reported'] += 1
         else:
             right = bars.error(simulation.position) < 1e-8
             found['right' if right else 'silent'] += 1
@@ -195,13 +195,13 @@ def test_real_change_points_are_passed_without_a_word():
     for scene, duration in falling():
         simulation = Simulation(scene)
         simulation.step(None, duration)
-        assert not is_told(simulation.report()), scene.mechanism.name
+        assert not is_reported(simulation.report()), scene.mechanism.name
         passed += simulation.health.singular_count > 0
     assert passed > 10
 
 
-def test_one_of_several_flat_loops_that_misses_is_told():
-    told = 0
+def test_one_of_several_flat_loops_that_misses_is_reported():
+    reported = 0
     for scene, duration in falling(1e-9):
         try:
             simulation = Simulation(scene)
@@ -211,11 +211,11 @@ def test_one_of_several_flat_loops_that_misses_is_told():
             continue
         except SimulationError as error:
             assert 'undecided' in str(error)
-            told += 1
+            reported += 1
             continue
-        assert is_told(simulation.report()), scene.initial
-        told += 1
-    assert told > 2
+        assert is_reported(simulation.report()), scene.initial
+        reported += 1
+    assert reported > 2
 
 
 @pytest.mark.parametrize('hold', [('A',), ()])

@@ -1,7 +1,7 @@
 # SPDX-FileCopyrightText: 2026 The closedloop_dynamics authors
 # SPDX-License-Identifier: Apache-2.0
 
-"""Loops that are drawn wide open are closed, the right way round; told where they cannot be."""
+"""Loops that are drawn wide open are closed, the right way round; what cannot be is reported."""
 
 from closedloop_dynamics.codegen import space
 from closedloop_dynamics.engine.types import CUT_NUMBER, POSSIBLE
@@ -122,7 +122,7 @@ def test_held_joints_stay():
     assert found.q[0] == 1.2870022175866
 
 
-def test_a_loop_that_cannot_close_is_told_with_its_gap():
+def test_a_loop_that_cannot_close_is_reported_with_its_gap():
     # A bar of 2.5 and one of 1 on pins 1 apart: half a metre too long.
     found = find_closed(triangle(2.5), 1.0, np.array([0.3, -0.2]), starts=1)
     assert not found.closed
@@ -134,7 +134,7 @@ def test_gaps_are_in_metres_whatever_the_size():
     assert found.closure_errors == {'pin': pytest.approx(0.5, abs=1e-4)}
 
 
-def test_loops_that_no_motion_closes_are_told_apart_from_others():
+def test_loops_that_no_motion_closes_are_distinguished_from_others():
     # Beside a loop that closes: two bars in parallel planes, 0.04 m apart.
     joints = [Joint(name, 'revolute', 'ground', body, place, axis=Z) for name, body, place in (
         ('left', 'a', (0.0, 0.0, 0.0)), ('right', 'b', (1.0, 0.0, 0.0)),

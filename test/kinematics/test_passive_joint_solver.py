@@ -107,7 +107,7 @@ def test_what_no_position_of_the_mechanism_has_is_refused_and_the_last_one_kept(
     np.testing.assert_allclose(completion.position, simulation.position, atol=1e-10)
 
 
-def test_singular_position_that_is_passed_is_told():
+def test_singular_position_that_is_passed_is_reported():
     simulation = Simulation.from_scene('three_rrr')
     names = ['theta_1', 'theta_6', 'theta_7']
     places, _ = places_of(simulation, names)

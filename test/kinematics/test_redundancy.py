@@ -1,7 +1,7 @@
 # SPDX-FileCopyrightText: 2026 The closedloop_dynamics authors
 # SPDX-License-Identifier: Apache-2.0
 
-"""Equations that repeat others: found, told why, free of charge, and exchanged where need be."""
+"""Equations that repeat others: found, explained, free of charge, and exchanged where need be."""
 
 from dataclasses import replace
 from itertools import count, cycle
@@ -54,7 +54,7 @@ def linkages():
 
 
 @pytest.mark.parametrize('name', ['bricard', 'bennett', 'four_bar'])
-def test_it_is_told_why_equations_repeat_others(name):
+def test_it_is_reported_why_equations_repeat_others(name):
     mechanism, guess, left, count = linkages()[name]
     _, q = closed(mechanism, guess)
     found = find_redundancy(mechanism, q)
@@ -76,9 +76,9 @@ def test_independent_equations_are_not_said_to_repeat():
 
 def test_check_tells_what_repeats_and_whose_forces_are_shared():
     scene = load_scene('bricard')
-    told = describe(scene, Simulation(scene))
-    assert 'Equations that repeat others: 1\n' in told and THESE_LENGTHS in told
-    assert 'Forces that are not unique, of which the least are reported: 6\n' in told
+    reported = describe(scene, Simulation(scene))
+    assert 'Equations that repeat others: 1\n' in reported and THESE_LENGTHS in reported
+    assert 'Forces that are not unique, of which the least are reported: 6\n' in reported
 
 
 def test_simulate_tells_whose_forces_are_shared(capsys):
@@ -197,7 +197,7 @@ def test_a_planar_loop_that_turns_keeps_its_equations():
 
 def test_components_that_are_not_unique_are_those_that_other_multipliers_change():
     scene = load_scene('bricard')
-    told = find_redundancy(scene.mechanism, np.zeros(5)).components
+    reported = find_redundancy(scene.mechanism, np.zeros(5)).components
     for name in ('joint_3', 'joint_4', 'joint_5', 'joint_6'):
         one = Simulation(replace(
             scene, mechanism=with_cuts(scene.mechanism, (name,)),
@@ -209,7 +209,7 @@ def test_components_that_are_not_unique_are_those_that_other_multipliers_change(
         least = numbers.recursion.cut_wrench(one.data.system.model, 0, lam)
         changed = {f'force {axis}' for axis, change in zip(
             'xyz', (one.constraint_forces[0] - least)[3:]) if abs(change) > 1e-6}
-        assert changed == {part for part in told[name] if part.startswith('force')}
+        assert changed == {part for part in reported[name] if part.startswith('force')}
         assert len(changed) == 3
 
 

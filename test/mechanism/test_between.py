@@ -177,7 +177,7 @@ def test_a_place_in_space_is_none_in_the_plane(tmp_path):
         load_scene(loaded_arm(tmp_path, [], position=[0.8, 0.2, 0.0]))
 
 
-def test_the_tree_of_fewest_operations_is_chosen_and_told(tmp_path):
+def test_the_tree_of_fewest_operations_is_chosen_and_reported(tmp_path):
     (tmp_path / 'machine.yaml').write_text(FOUR_BAR)
     (tmp_path / 'scene.yaml').write_text(
         'mechanism: ./machine.yaml\ninitial: {position: {crank_joint: 1.0, coupler_joint: -0.5, '
@@ -196,8 +196,8 @@ def test_the_tree_of_fewest_operations_is_chosen_and_told(tmp_path):
     path.write_text((tmp_path / 'scene.yaml').read_text().replace(', position: [0.1, 0.0]', ''))
     assert load_scene(path).effects['lamp'].position == (0.175, 0.0)
     assert load_scene(tmp_path / 'scene.yaml') == scene
-    told = describe(mechanism)
-    assert 'Tree, chosen by the program\n  cut          tip\n' in told
+    reported = describe(mechanism)
+    assert 'Tree, chosen by the program\n  cut          tip\n' in reported
     # An order is obeyed.
     (tmp_path / 'machine.yaml').write_text(FOUR_BAR.replace(
         'points: [[0.4, 0], [0, 0]]', 'points: [[0.4, 0], [0, 0]], cut: true'))

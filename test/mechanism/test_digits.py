@@ -2,7 +2,7 @@
 # SPDX-License-Identifier: Apache-2.0
 
 """
-Machines written with rounded digits: as mobile as they were meant, or told.
+Machines written with rounded digits: as mobile as they were meant, or reported.
 
 Random loops that move although they have more equations than joints are written with few digits.
 The oracle is the same machine with all digits, and loops that stay closed on their whole way.
@@ -168,7 +168,7 @@ def test_loops_of_few_digits_stay_closed_on_their_way(kind, digits, seed):
 @pytest.mark.parametrize('seed', range(5))
 def test_what_agrees_stays_as_it_is(tmp_path, kind, seed):
     path = tmp_path / 'again.yaml'
-    # Eight digits agree to the tolerance in part, so that something is changed and the rest told.
+    # Eight digits agree to the tolerance in part, so that some is changed, the rest reported.
     for digits in (8, 9, 17):
         mechanism = read_mechanism(LOOPS[kind](np.random.default_rng(seed), digits))
         assert with_agreement(mechanism) is mechanism
@@ -226,7 +226,7 @@ def test_a_door_is_a_pendulum():
     ({'offset': 1e-9},
      'axes and points that miss by 1e-09 m are taken as meeting: upper, lower (on door); '
      'upper, lower (on ground)')])
-def test_what_is_taken_as_agreeing_is_told(digits, said):
+def test_what_is_taken_as_agreeing_is_reported(digits, said):
     simulation = Simulation(load_scene(door(**digits)))
     assert set(said.split(': ')[1].split('; ')) <= set(
         simulation.data.start_notes()[0].split(': ')[1].split('; '))
@@ -235,7 +235,7 @@ def test_what_is_taken_as_agreeing_is_told(digits, said):
 
 @pytest.mark.parametrize('digits', [{'tilt': 1e-7}, {'tilt': 4e-6}, {'offset': 1e-7},
                                     {'offset': 4e-6}])
-def test_what_looks_rounded_is_told_with_a_remedy(digits):
+def test_what_looks_rounded_is_reported_with_a_remedy(digits):
     far = max(map(abs, digits.values()))
     scene = door(**digits)
     mechanism = read_mechanism(scene['mechanism'])
@@ -395,9 +395,9 @@ def test_loops_that_close_to_the_digits_of_lengths_are_closed(tmp_path, digits, 
         # The energy balance is that of accuracy 1e-6.
         assert abs(simulation.energy_balance.residual) < 1e-8
     np.testing.assert_allclose(found.position, meant.position, rtol=0.0, atol=near)
-    told = [note for note in found.data.start_notes()
-            if 'and nowhere better: taken as closed' in note]
-    assert len(told) == (digits < 12)
+    reported = [note for note in found.data.start_notes()
+                if 'and nowhere better: taken as closed' in note]
+    assert len(reported) == (digits < 12)
     assert not any('nowhere better' in note for note in meant.data.start_notes())
 
 

@@ -111,7 +111,7 @@ def test_mistakes_in_shapes_are_named(values, words):
         with_shape(values, True)
 
 
-def test_a_body_is_drawn_as_its_shape_unless_told_otherwise():
+def test_a_body_is_drawn_as_its_shape_unless_a_visual_says_otherwise():
     rod = {'rod': {'from': [0.1, 0.0, 0.0], 'to': [0.1, 0.4, 0.0], 'radius': 0.01}}
     drawn, = with_shape({'shape': rod, 'mass': 1.0}, True)['visual']
     assert (drawn.kind, drawn.size, drawn.center) == ('cylinder', (0.01, 0.4), (0.1, 0.2, 0.0))

@@ -110,7 +110,7 @@ def test_extras_have_what_asks_for_them(monkeypatch):
 
 
 @pytest.mark.parametrize('library', ['matplotlib', 'mcap'])
-def test_a_broken_library_is_told_from_a_missing_one(library):
+def test_a_broken_library_is_distinguished_from_a_missing_one(library):
     from closedloop_dynamics.mechanism import extras
     with pytest.raises(extras.MissingLibraryError, match='installed, but cannot be used: boom'):
         with extras.of_an_extra():

@@ -64,7 +64,7 @@ def test_a_short_run_is_made_to_its_end(monkeypatch):
 @pytest.mark.parametrize('method, key, values', [
     ({}, 'accuracy', (1e-6, 1e-9)), ({'integrator': 'dopri5'}, 'tolerance', (1e-6, 1e-9)),
     ({'integrator': 'rk4'}, 'step_size', (1e-3, 5e-4))])
-def test_a_finer_method_is_told_beside_the_first(method, key, values):
+def test_a_finer_method_is_reported_beside_the_first(method, key, values):
     simulation = Simulation.from_scene('stewart_platform', **method)
     found = probe(simulation, 0.1, 100.0)
     assert [(one.key, one.value) for one in found] == [

@@ -73,7 +73,7 @@ def test_a_table_has_the_forces_of_all_joints(tmp_path):
     assert main([*arguments, '--overwrite']) == 0
 
 
-def test_damage_and_messages_out_of_order_are_told(tmp_path, capsys):
+def test_damage_and_messages_out_of_order_are_reported(tmp_path, capsys):
     bag = tmp_path / 'motion'
     recorded(bag, 'four_bar', [0.5], count=200)
     file, = bag.glob('*.mcap')

@@ -1,7 +1,7 @@
 # SPDX-FileCopyrightText: 2026 The closedloop_dynamics authors
 # SPDX-License-Identifier: Apache-2.0
 
-"""Of a damaged bag, what is before the damage is read, and the damage is told."""
+"""Of a damaged bag, what is before the damage is read, and the damage is reported."""
 
 from itertools import islice
 import sqlite3
@@ -82,7 +82,7 @@ def test_what_is_before_a_damaged_chunk_is_read(bag, finished, place):
         opened.warn()
 
 
-def test_a_chunk_cut_off_in_a_killed_recording_is_told(bag):
+def test_a_chunk_cut_off_in_a_killed_recording_is_reported(bag):
     (bag / 'metadata.yaml').unlink()
     path = bag / 'bag_0.mcap'
     data = path.read_bytes()
@@ -106,7 +106,7 @@ def test_a_flipped_bit_in_a_database_is_found(tmp_path, compression):
 
 
 @pytest.mark.parametrize('begin', range(0, 4096, 256))
-def test_a_database_with_a_hole_anywhere_is_told(tmp_path, begin):
+def test_a_database_with_a_hole_anywhere_is_reported(tmp_path, begin):
     bag = written(tmp_path / 'bag', 'sqlite3')
     path = bag / 'bag_0.db3'
     data = bytearray(path.read_bytes())
@@ -120,7 +120,7 @@ def test_a_database_with_a_hole_anywhere_is_told(tmp_path, begin):
     assert found.damages
 
 
-def test_a_missing_file_and_wrong_counts_are_told(tmp_path):
+def test_a_missing_file_and_wrong_counts_are_reported(tmp_path):
     files = BagFiles(tmp_path / 'bag', 'mcap', max_size=20_000)
     channel = add(files, '/numbers', VALUES)
     for index in range(COUNT):

@@ -110,8 +110,9 @@ def test_deviations_in_space_are_zero(name):
     drive(recorder, 10, seed=6)
     recording = recorder.recording()
     # As a bag has it.
-    told, _ = read_scene_text(scene_text(recording.scene))
-    result = replay(replace(recording, scene=told, changes=[(told, recording.changes[0][1])]))
+    reported, _ = read_scene_text(scene_text(recording.scene))
+    result = replay(replace(
+        recording, scene=reported, changes=[(reported, recording.changes[0][1])]))
     for quantity in ('position', 'velocity', 'effort', 'forces'):
         assert not result.deviation(quantity).any(), quantity
     assert result.recorded.forces.shape[1:] == (1, 6)
@@ -200,7 +201,7 @@ def test_a_late_start_under_a_held_torque_with_error_control_is_said_to_be_inexa
     assert replace(result, recorded=off).unexplained is not None
 
 
-def test_a_gap_is_told_and_costs_nothing_else():
+def test_a_gap_is_reported_and_costs_nothing_else():
     scene = load_scene('three_rrr')
     recorder = Recorder(replace(scene, method=replace(scene.method, integrator='rk4')))
     drive(recorder, 40)

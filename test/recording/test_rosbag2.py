@@ -68,12 +68,12 @@ def test_ros_reads_the_same_messages(only_ros, tmp_path, storage):
     assert {topic for topic, *_ in wanted} == {'/words'}
 
 
-def test_bag_that_ros_does_not_open_is_told_with_a_remedy(only_ros, tmp_path):
+def test_bag_that_ros_does_not_open_is_reported_with_a_remedy(only_ros, tmp_path):
     with pytest.raises(OSError, match='rosbag2_py cannot open it.*pip install rosbags mcap'):
         rosbag2.open_bag(tmp_path / 'nowhere')
 
 
-def test_messages_before_a_damage_are_used_and_the_damage_is_told(only_ros, tmp_path, monkeypatch):
+def test_messages_before_a_damage_are_used_and_it_is_reported(only_ros, tmp_path, monkeypatch):
     files = BagFiles(tmp_path / 'bag', 'mcap')
     write(files, 20)
     files.close()

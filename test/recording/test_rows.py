@@ -154,9 +154,9 @@ def test_damaged_rows_and_scenes_are_refused_in_words(rows, tmp_path, count):
     rng, copy = np.random.default_rng(27), tmp_path / 'copy.csv'
     with open(path, newline='') as file:
         table = list(csv.reader(file))
-    told, refused = json.loads(scene_path(path).read_text()), 0
+    reported, refused = json.loads(scene_path(path).read_text()), 0
     for k in range(count):
-        damaged, scene = [list(row) for row in table], json.dumps(told)
+        damaged, scene = [list(row) for row in table], json.dumps(reported)
         row, column = (int(rng.integers(size)) for size in (len(table), len(table[0])))
         if k % 3 == 0:
             damaged[row][column] = str(rng.choice(['', 'x', '1e9', 'nan', 'force.x.y']))

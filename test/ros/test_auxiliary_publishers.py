@@ -56,7 +56,7 @@ def test_descriptions_are_there_for_whoever_comes_late(simulator, listener):
     assert facts == {'after': 0, 'columns': [*COLUMNS, *node.simulation.torque_names]}
 
 
-def test_scene_is_told_again_when_it_changes(simulator, listener):
+def test_scene_is_published_again_when_it_changes(simulator, listener):
     node = simulator(scene='three_rrr')
     scenes = collect(listener, 'scene', String, LATCHED)
     listener.wait(lambda: scenes, 'scene')
@@ -90,7 +90,7 @@ def test_replay_log_tells_times_and_commands(simulator, listener):
     node.simulation.reset()
     node.live.publish()
     listener.wait(lambda: len(entries) == 6, 'six entries')
-    # Names are told once, in the scene: they would be three quarters of each entry.
+    # Names are published once, in the scene: they would be three quarters of each entry.
     assert not entries[0].layout.dim
     names = [*node.log.columns, *(f'state.{k}' for k in range(len(node.simulation.state)))]
     assert node.log.columns == [*COLUMNS, *node.simulation.joint_names]

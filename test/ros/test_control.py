@@ -305,7 +305,7 @@ def test_the_log_tells_of_changes_of_the_accuracy(build, monkeypatch):
     assert noted == [(pytest.approx(0.05), 1e-4), (pytest.approx(0.06), 1e-4)]
 
 
-def test_the_cost_is_told_at_the_start(monkeypatch):
+def test_the_cost_is_reported_at_the_start(monkeypatch):
     def found(simulation, duration, rate, longest):
         assert duration == 10.0
         return costs
@@ -406,7 +406,7 @@ def test_core_is_kept_awake_while_asked_to_and_time_runs(build):
     assert os.sched_getaffinity(0) == free
 
 
-def test_user_without_real_time_priorities_is_told_and_goes_on(make_node, monkeypatch, capfd):
+def test_user_without_real_time_priorities_is_warned_and_goes_on(make_node, monkeypatch, capfd):
     def refuse(*arguments):
         raise PermissionError(1, 'Operation not permitted')
 
@@ -449,7 +449,7 @@ def test_ticks_that_the_process_makes_itself_come_on_a_grid(build, monkeypatch):
     assert node.due() == pytest.approx(steady.now + 0.01)
 
 
-def test_system_that_does_not_let_a_core_be_kept_awake_is_told(build, monkeypatch):
+def test_system_that_does_not_let_a_core_be_kept_awake_is_reported(build, monkeypatch):
     def refuse(awake):
         raise OSError('no')
 
@@ -503,16 +503,16 @@ def test_diagnostics_tell_how_the_run_goes(make_node):
     assert trigger(node.on_step).success
     node.on_torque_command(Float64MultiArray(data=[1.0]))
     node.publish_diagnostics()
-    told = {status.name.removeprefix(f'cell/{node.get_name()}: '): (
+    reported = {status.name.removeprefix(f'cell/{node.get_name()}: '): (
         status.level, {pair.key: pair.value for pair in status.values})
         for status in sent[0].status}
-    assert set(told) == {
+    assert set(reported) == {
         'time', 'method', 'closure', 'energy', 'elimination', 'commands', 'effects', 'graph'}
-    assert told['time'][1]['mode'] == 'realtime'
-    method = told['method'][1]
+    assert reported['time'][1]['mode'] == 'realtime'
+    method = reported['method'][1]
     assert method['method'] == 'heun, projection' and float(method['step size [s]']) == 0.0005
     assert float(method['compute time per step [us]']) > 0.0
-    assert float(told['closure'][1]['closure error [m or rad]']) < 1e-10
-    assert told['closure'][0] == OK and told['commands'][0] == WARN
-    assert told['effects'][1]['gravity'] == 'gravity'
-    assert told['commands'][1]['accepted'] == '0'
+    assert float(reported['closure'][1]['closure error [m or rad]']) < 1e-10
+    assert reported['closure'][0] == OK and reported['commands'][0] == WARN
+    assert reported['effects'][1]['gravity'] == 'gravity'
+    assert reported['commands'][1]['accepted'] == '0'

@@ -269,7 +269,7 @@ def test_platform_is_to_go_round_a_circle():
     assert miss < 0.01
 
 
-def test_a_path_that_is_no_circle_is_told():
+def test_a_path_that_is_no_circle_is_reported():
     motion, aim = platform_on_a_circle(0.8)
     failures = [failure for _, failure in compared(motion, aim)]
     assert 'away from their reference' in failures[0]
@@ -302,7 +302,7 @@ def test_speed_and_ripple_are_compared_with_what_was_wanted(mean, ripple, failed
     assert failure is None if failed is None else re.search(failed, failure)
 
 
-def test_loops_that_are_open_are_told():
+def test_loops_that_are_open_are_reported():
     motion, _ = turning(SPEED, 0.0)
     # Only the crank was turned.
     failure, = open_loops(motion)

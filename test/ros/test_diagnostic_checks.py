@@ -26,7 +26,7 @@ BOOK = {'accepted': 5, 'rejected': 0, 'timed out': 0, 'states set': 0, 'states r
 
 @pytest.mark.parametrize('factor, missed, level', [
     (1.0, 0, OK), (0.96, 0, OK), (0.94, 0, WARN), (0.49, 0, ERROR), (1.0, 4, OK), (1.0, 6, WARN)])
-def test_simulated_time_that_lags_behind_is_told(factor, missed, level):
+def test_simulated_time_that_lags_behind_is_reported(factor, missed, level):
     now = {'factor': 2.0 * factor, 'dropped': 0.0, 'missed': missed, 'left out': 0,
            'ticks': 100}
     assert checks.time_finding(now, '', 2.0).level == level
@@ -35,7 +35,7 @@ def test_simulated_time_that_lags_behind_is_told(factor, missed, level):
     assert checks.time_finding(now, '', None).level == OK
 
 
-def test_states_left_out_are_told():
+def test_states_left_out_are_reported():
     now = {'factor': 1.0, 'dropped': 0.0, 'missed': 3, 'left out': 1, 'ticks': 1000}
     finding = checks.time_finding(now, '', 1.0)
     assert finding.level == WARN
@@ -45,25 +45,25 @@ def test_states_left_out_are_told():
 @pytest.mark.parametrize('error, load, level', [
     (1e-10, 0.1, OK), (math.nan, math.nan, OK), (2e-4, 0.1, WARN), (0.1, 0.1, ERROR),
     (1e-10, 0.9, WARN)])
-def test_large_errors_and_costs_of_steps_are_told(error, load, level):
+def test_large_errors_and_costs_of_steps_are_reported(error, load, level):
     finding = checks.method_finding(replace(REPORT, local_error=error), load)
     assert finding.level == level
     assert finding.values['compute time per step [us]'] == pytest.approx(10.0)
 
 
 @pytest.mark.parametrize('closure, level', [(1e-13, OK), (1e-5, WARN), (0.01, ERROR)])
-def test_open_loops_are_told(closure, level):
+def test_open_loops_are_reported(closure, level):
     assert checks.closure_finding(closure).level == level
 
 
 @pytest.mark.parametrize('residual, level', [
     (0.0, OK), (1e-3, OK), (-0.01, WARN), (5.0, ERROR), (-5.0, ERROR)])
-def test_energy_from_nowhere_is_told(residual, level):
+def test_energy_from_nowhere_is_reported(residual, level):
     balance = Energies(1.0, 2.0, 3.0, 4.0, residual)
     assert checks.energy_finding(balance, 8.0).level == level
 
 
-def test_singular_configurations_are_told_though_they_are_over():
+def test_singular_configurations_are_reported_though_they_are_over():
     assert checks.elimination_finding(HEALTH, 0.5).level == OK
     finding = checks.elimination_finding(HEALTH, 1e-5)
     assert finding.level == WARN
@@ -76,7 +76,7 @@ def test_singular_configurations_are_told_though_they_are_over():
 @pytest.mark.parametrize('found, level, word', [
     ((1, 0, False), OK, 'alone'), ((1, 1, True), OK, 'alone'), ((2, 1, True), WARN, '2 nodes'),
     ((1, 2, False), WARN, 'time will jump'), ((1, 0, True), WARN, 'nobody publishes /clock')])
-def test_names_that_are_shared_and_clocks_that_are_not_there_are_told(found, level, word):
+def test_names_that_are_shared_and_clocks_that_are_not_there_are_reported(found, level, word):
     finding = checks.graph_finding('/left/simulator', *found)
     assert finding.level == level and word in finding.message
 
@@ -90,7 +90,7 @@ def test_names_that_are_shared_and_clocks_that_are_not_there_are_told(found, lev
     ({}, ['/a', '/b', '/a'], False, WARN, '2 sources of commands (/a with 2 publishers, /b)'),
     ({'lost': 2}, ['/a'], False, WARN, '2 commands lost'),
     ({}, ['/a'], True, WARN, 'torques are zero')])
-def test_commands_that_do_not_arrive_as_they_should_are_told(
+def test_commands_that_do_not_arrive_as_they_should_are_reported(
         change, sources, expired, level, word):
     finding = checks.commands_finding({**BOOK, **change}, BOOK, sources, expired)
     assert finding.level == level

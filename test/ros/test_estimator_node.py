@@ -410,13 +410,13 @@ def test_another_node_goes_on_in_mid_motion_and_bears_nonsense(run, listener, tm
     publisher, message = listener.publisher('/hand', Imu), Imu()
     message.linear_acceleration.x = math.inf
 
-    def told():
+    def reported():
         seconds, rest = unknown[-1].data[:2]
         message.header.stamp = Time(seconds=int(seconds), nanoseconds=int(rest)).to_msg()
         return any(status.level == DiagnosticStatus.WARN and 'expected finite' in status.message
                    for one in findings for status in one.status)
 
-    listener.send(publisher, message, told, 'a finding')
+    listener.send(publisher, message, reported, 'a finding')
     # In lockstep the torque source, which reads the same topic, must not leave a state without an
     # answer.
     states = listener.listen('joint_states', JointState)

@@ -110,7 +110,7 @@ def test_a_wrench_ends_and_nothing_is_left_of_it(make):
     assert node.live.wrench.counts == {'wrenches taken': 4, 'wrenches refused': 0}
 
 
-def test_bad_wrenches_are_refused_counted_and_told(make):
+def test_bad_wrenches_are_refused_counted_and_reported(make):
     node = make('three_rrr')
     bad = {'frame_id': wrench('platfrom', (1.0, 0.0, 0.0)),
            'finite': wrench('platform', (float('nan'), 0.0, 0.0)),

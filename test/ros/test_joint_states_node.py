@@ -114,7 +114,7 @@ class Pose:
     (Pose(), {'not closed': 1}, DiagnosticStatus.ERROR, 'the reason'),
     (Pose(), {'not usable': 1}, DiagnosticStatus.WARN, 'the reason'),
     (Pose(), {'completed': 0}, DiagnosticStatus.WARN, 'no joint_states came')])
-def test_health_of_a_pose_is_told(pose, news, level, word):
+def test_health_of_a_pose_is_reported(pose, news, level, word):
     finding = pose_finding(
         pose, 1e-3, {'completed': 100, 'not usable': 0, 'not closed': 0, **news}, 'the reason')
     assert finding.level == level and word in finding.message

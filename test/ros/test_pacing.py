@@ -1,7 +1,7 @@
 # SPDX-FileCopyrightText: 2026 The closedloop_dynamics authors
 # SPDX-License-Identifier: Apache-2.0
 
-"""Tests of the pacer and the throttle with a clock that only moves when told."""
+"""Tests of the pacer and the throttle with a clock that only moves when set."""
 
 from closedloop_dynamics.ros.pacing import Throttle
 from closedloop_dynamics.simulation.pacer import LARGEST_LAG, Pacer, PORTION_TIME

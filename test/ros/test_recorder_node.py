@@ -3,13 +3,12 @@
 
 """Tests of the recorder node in this process."""
 
-from threading import Event
 from test.ros.bags import read_with_mcap, read_with_rosbags
+from threading import Event
 
 from closedloop_dynamics.recording.reading import Bag
 from closedloop_dynamics.recording.writer import BagFiles
 from closedloop_dynamics.ros import bag
-
 from closedloop_dynamics.ros.process import StartError
 import pytest
 from rclpy.qos import DurabilityPolicy
@@ -87,8 +86,8 @@ def test_topic_of_two_types_is_named_and_not_recorded(record, monkeypatch, capfd
     recorder.poll_topics()
     assert not list(recorder.subscriptions)
     recorder.close()
-    told = capfd.readouterr().err
-    assert told.count('/double is not recorded: it has several types') == 1
+    reported = capfd.readouterr().err
+    assert reported.count('/double is not recorded: it has several types') == 1
 
 
 @pytest.mark.parametrize('parameters, problem', [

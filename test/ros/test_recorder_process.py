@@ -52,11 +52,11 @@ def test_bag_holds_what_a_subscriber_got(processes, listener, tmp_path, storage,
     assert source.stop() == 0
     assert simulator.stop() == 0
     assert recorder.stop() == 0
-    told = counts(recorder)
+    reported = counts(recorder)
     for read in readers:
         messages = read(tmp_path / 'bag')
         assert {topic: (len(each), len(each)) for topic, each in messages.items()} == {
-            topic: count for topic, count in told.items() if count[0]}
+            topic: count for topic, count in reported.items() if count[0]}
         for topic, expected in heard.items():
             assert_same_tail(topic, [each for _, each in messages[topic]], expected)
         assert list(messages['/joint_command'][-1][1].name) == ['theta_1', 'theta_7']

@@ -37,10 +37,10 @@ from std_srvs.srv import Trigger
 
 def file_of(made, directory):
     """Write a scene and its mechanism, and return the scene's path."""
-    told = json.loads(scene_text(made))
+    reported = json.loads(scene_text(made))
     path = directory / f'{made.name}.yaml'
-    path.write_text(json.dumps(told['scene']))
-    (directory / 'mechanism.yaml').write_text(json.dumps(told['mechanism']))
+    path.write_text(json.dumps(reported['scene']))
+    (directory / 'mechanism.yaml').write_text(json.dumps(reported['mechanism']))
     return str(path)
 
 
@@ -103,9 +103,9 @@ def quantities(coordinates, state, turned):
                 (qd, coordinates.twist[k], (turned.twist[one].linear, turned.twist[one].angular)),
                 (effort, coordinates.twist[k], (turned.wrench[one].force,
                                                 turned.wrench[one].torque))):
-            told = np.array([*numbers(given[0]), *numbers(given[1])])
-            values[places[places >= 0]] = told[places >= 0]
-            assert not told[places < 0].any()
+            reported = np.array([*numbers(given[0]), *numbers(given[1])])
+            values[places[places >= 0]] = reported[places >= 0]
+            assert not reported[places < 0].any()
     return q, qd, effort
 
 
@@ -331,11 +331,11 @@ def test_computed_torque_leads_a_machine_in_space(make_node, tmp_path):
 
 def test_description_of_the_robot_has_floating_joints_and_chains(make_node, listener, tmp_path):
     node = stepped_node(make_node, file_of(made('floater'), tmp_path))
-    told = []
-    listener.node.create_subscription(String, 'robot_description', told.append, LATCHED_QOS)
-    listener.wait(lambda: told, 'the description')
+    reported = []
+    listener.node.create_subscription(String, 'robot_description', reported.append, LATCHED_QOS)
+    listener.wait(lambda: reported, 'the description')
     assert node.exit_code is None
-    robot = ElementTree.fromstring(told[0].data)
+    robot = ElementTree.fromstring(reported[0].data)
     assert {joint.get('name'): joint.get('type') for joint in robot.findall('joint')} == {
         'world_to_ground': 'fixed', 'hull': 'floating', 'hip.1': 'continuous',
         'hip.2': 'continuous', 'ball': 'floating'}

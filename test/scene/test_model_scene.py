@@ -45,10 +45,10 @@ def test_a_model_is_simulated_like_the_mechanism(files):
     np.testing.assert_allclose(model.position, own.position, rtol=1e-10)
 
 
-def test_how_a_model_was_closed_and_what_was_left_out_is_told(files):
-    with pytest.warns(ModelWarning) as told:
+def test_how_a_model_was_closed_and_what_was_left_out_is_reported(files):
+    with pytest.warns(ModelWarning) as reported:
         load_scene('robot.urdf')
-    texts = [str(one.message) for one in told]
+    texts = [str(one.message) for one in reported]
     assert any('the loops are drawn open and were closed' in text for text in texts)
     assert any('left out' in text and 'limits of 1 drive(s)' in text for text in texts)
 

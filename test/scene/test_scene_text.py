@@ -31,7 +31,7 @@ def test_shipped_scenes_come_back_as_data_and_from_one_file(name, tmp_path):
     assert back.name == name
 
 
-def test_changed_effects_and_methods_are_told():
+def test_changed_effects_and_methods_are_reported():
     scene = load_scene('three_rrr')
     changed = replace(scene.effects['gravity'], acceleration=(1e-7, -1.62))
     slower = replace(scene, method=replace(scene.method, step_size=1e-5),

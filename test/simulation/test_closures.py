@@ -263,9 +263,9 @@ def test_offsets_and_factors_are_numbers_like_others():
     assert other.mechanism.couplings[0].joints == {'a': 1.0, 'b': -4.0}
     again, _ = read_scene_text(scene_text(other))
     assert again.mechanism == other.mechanism
-    told = describe(other)
-    assert 'Couplings: 2' in told and 'a 1, b -4' in told
-    assert 'constraint equations  2' in told
+    reported = describe(other)
+    assert 'Couplings: 2' in reported and 'a 1, b -4' in reported
+    assert 'constraint equations  2' in reported
 
 
 def test_what_is_no_coupling_or_cut_is_refused():

@@ -110,10 +110,10 @@ def test_simulate_ends_with_a_verdict(tmp_path, capsys):
     output = tmp_path / 'q.csv'
     assert main(['simulate', 'three_rrr', '--duration', '1', '--torque', 'theta_1=5000',
                  '--integrator', 'rk4', '--output', str(output)]) == 1
-    told = capsys.readouterr()
-    assert 'energy balance is off' in told.err
+    reported = capsys.readouterr()
+    assert 'energy balance is off' in reported.err
     # How far it came before.
-    assert 0.0 < float(told.out.split('simulated ')[1].split()[0]) < 1.0
+    assert 0.0 < float(reported.out.split('simulated ')[1].split()[0]) < 1.0
     kept = (tmp_path / 'q.csv.report.txt').read_text()
     assert 'FAILED' in kept and 'not to be trusted' in kept
     assert len(output.read_text().splitlines()) > 2
@@ -122,7 +122,7 @@ def test_simulate_ends_with_a_verdict(tmp_path, capsys):
 def test_simulate_tells_the_error_of_the_run(capsys):
     assert main(['simulate', 'four_bar', '--duration', '1', '--integrator', 'heun',
                  '--step-size', '1e-3']) == 0
-    told = float(capsys.readouterr().out.split('at most about ')[1].split()[0])
+    reported = float(capsys.readouterr().out.split('at most about ')[1].split()[0])
     coarse, fine = (Simulation.from_scene('four_bar', **method) for method in (
         {'integrator': 'heun', 'step_size': 1e-3}, {'accuracy': 1e-10}))
     worst = 0.0
@@ -130,7 +130,7 @@ def test_simulate_tells_the_error_of_the_run(capsys):
         coarse.step(duration=0.01)
         fine.step(duration=0.01)
         worst = max(worst, np.abs(coarse.position - fine.position).max())
-    assert told == pytest.approx(worst, rel=0.1)
+    assert reported == pytest.approx(worst, rel=0.1)
 
 
 def test_keys_of_a_method_that_mean_nothing_are_named():

@@ -118,7 +118,7 @@ def test_effects_are_in_the_states_that_the_run_is_in(form):
     assert torque == pytest.approx([expected, -0.1, 0.3], abs=1e-12)
 
 
-def test_what_the_drives_cannot_do_and_what_opens_the_loops_is_told_with_its_size():
+def test_what_the_drives_cannot_do_and_what_opens_the_loops_is_reported_with_its_size():
     rng, mechanism, q, qd = cases.drawn('three_rrr')
     idle = replace(mechanism, joints=tuple(
         replace(joint, actuated=joint.name == 'theta_1') for joint in mechanism.joints))

@@ -75,7 +75,7 @@ def test_forces_in_joints_have_names_everywhere():
         many.joint_forces['theta_8']
 
 
-def test_scenes_are_told_in_a_line_and_told_apart_by_their_contents():
+def test_scenes_are_shown_in_a_line_and_distinguished_by_their_contents():
     scene = RRR.scene
     assert repr(scene).startswith('<Scene three_rrr of three_rrr: ')
     assert repr(RRR.mechanism) == ('<Mechanism three_rrr: 7 bodies, 7 joints, 2 cut joints, '
@@ -204,12 +204,12 @@ def test_a_batch_is_its_states_one_by_one(name):
     assert batch[1:3].q.shape == (2, model.coordinates.nq)
 
 
-def told_by(function, *arguments, **options):
+def reported_by(function, *arguments, **options):
     """Return what a function returns, and its warnings, those that are counted, too."""
-    with warnings.catch_warnings(record=True) as told:
+    with warnings.catch_warnings(record=True) as reported:
         warnings.simplefilter('always')
         found = function(*arguments, **options)
-    words = [str(one.message) for one in told]
+    words = [str(one.message) for one in reported]
     if words and words[-1].endswith('more notes on these states'):
         words[-1:] = int(words[-1].split()[1]) * ['and more']
     return found, words
@@ -227,15 +227,15 @@ def test_a_batch_is_assembled_as_its_states_one_by_one(name, held):
     hold = model.scene.initial.hold if held else ()
     each, notes = [], []
     for k in range(len(q)):
-        state, told = told_by(model.assemble, q[k], qd[k], hold, time=0.1)
+        state, reported = reported_by(model.assemble, q[k], qd[k], hold, time=0.1)
         each.append(state)
-        notes += [f'state {k}: {note}' for note in told]
-    batch, told = told_by(model.assemble, q, qd, hold, time=0.1)
+        notes += [f'state {k}: {note}' for note in reported]
+    batch, reported = reported_by(model.assemble, q, qd, hold, time=0.1)
     one_by_one = cld.State.stack(each)
     for key in ('time', 'q', 'qd', 'own'):
         np.testing.assert_allclose(
             getattr(batch, key), getattr(one_by_one, key), rtol=0.0, atol=1e-12)
-    assert told[:3] == notes[:3] and len(told) == len(notes)
+    assert reported[:3] == notes[:3] and len(reported) == len(notes)
 
 
 def test_notes_of_a_batch_are_those_of_its_states():
@@ -243,12 +243,12 @@ def test_notes_of_a_batch_are_those_of_its_states():
     # Degrees; the other branch; far away; nothing.
     cranks, rockers = (0.3, 90.0, 0.3, 3.0, 1.2), (1.5, 1.5, -1.5, 1.5, 1.5)
     for k, (crank, rocker) in enumerate(zip(cranks, rockers)):
-        _, told = told_by(model.assemble, {'crank_joint': crank, 'rocker_joint': rocker},
-                          hold=['crank_joint'])
-        notes += [f'state {k}: {note}' for note in told]
-    _, told = told_by(model.assemble, {'crank_joint': cranks, 'rocker_joint': rockers},
-                      hold=['crank_joint'])
-    assert told[:3] == notes[:3] and len(told) == len(notes) > 3
+        _, reported = reported_by(model.assemble, {'crank_joint': crank, 'rocker_joint': rocker},
+                                  hold=['crank_joint'])
+        notes += [f'state {k}: {note}' for note in reported]
+    _, reported = reported_by(model.assemble, {'crank_joint': cranks, 'rocker_joint': rockers},
+                              hold=['crank_joint'])
+    assert reported[:3] == notes[:3] and len(reported) == len(notes) > 3
 
 
 def test_states_of_a_batch_that_cannot_be_closed_are_named():
@@ -285,7 +285,7 @@ def test_what_is_assembled_closes_the_loops_and_keeps_what_is_held():
     assert np.array_equal(many.position['theta_1'], np.linspace(1.0, 1.1, 3))
 
 
-def test_what_may_not_be_meant_is_told_and_what_cannot_be_is_refused():
+def test_what_may_not_be_meant_is_reported_and_what_cannot_be_is_refused():
     model = model_of('three_rrr')
     with pytest.warns(RuntimeWarning, match='closed far from the position given'):
         model.assemble({'theta_1': 0.3})
@@ -417,7 +417,7 @@ def test_an_evaluator_of_a_model_computes_the_same():
     close(evaluate.multipliers, now.multipliers)
 
 
-def test_what_things_are_is_told():
+def test_what_things_are_is_shown():
     model = model_of('three_rrr')
     state = model.assemble()
     assert repr(model).startswith('<Model of three_rrr: 7 joint rates, 2 cut joints, actuated: ')

@@ -307,8 +307,8 @@ def test_states_are_given_by_name(chain):
     # What is not named stays.
     assert chain.velocity[names.rates['base']].tolist() == [*rates[:3], 0.1, 0.2, 0.3]
     assert chain.velocity[names.index['table.angle']] == 0.4
-    told = names.by_name('position', after)
-    assert np.array_equal(names.filled('position', told, names.start()), after)
+    reported = names.by_name('position', after)
+    assert np.array_equal(names.filled('position', reported, names.start()), after)
     with pytest.raises(FieldError, match='position.base.angle: .*position, orientation'):
         chain.set_state({'base': {'angle': 1.0}})
     with pytest.raises(FieldError, match=r'position.ball.orientation: .*rpy.* or quaternion'):

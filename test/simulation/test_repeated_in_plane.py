@@ -326,12 +326,12 @@ def test_friction_that_follows_reactions_knows_those_of_all_joints():
     assert one.effect_readings('dry')['dissipated_energy'] > 0.0
 
 
-def test_it_is_told_which_equations_repeat_others_and_whose_forces_are_shared():
+def test_it_is_reported_which_equations_repeat_others_and_whose_forces_are_shared():
     scene = replace(load_scene('four_bar'), mechanism=machines.doubled(
         load_scene('four_bar').mechanism))
     one = Simulation(scene)
-    told = describe(scene, one)
-    assert 'Equations that repeat others: 2\n' in told
+    reported = describe(scene, one)
+    assert 'Equations that repeat others: 2\n' in reported
     assert set(one.data.shared_forces) >= {cut.name for cut in one.mechanism.cut_joints}
     assert 'Equations that repeat' not in describe(
         load_scene('four_bar'), Simulation(load_scene('four_bar')))

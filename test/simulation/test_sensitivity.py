@@ -542,7 +542,7 @@ def test_singular_positions_have_no_derivatives(tmp_path):
         flat.changes(np.ones((1, 1)))
 
 
-def test_what_cannot_be_run_is_told_with_the_time():
+def test_what_cannot_be_run_is_reported_with_the_time():
     model = cld.Model.from_scene(PENDULUM)
     sensitivity = cld.Sensitivity(model, {'integrator': 'rk4', 'step_size': 1e-3})
     with pytest.raises(NumericalError, match='In the step from .* s on the numbers grow'):

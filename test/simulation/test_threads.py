@@ -1,7 +1,7 @@
 # SPDX-FileCopyrightText: 2026 The closedloop_dynamics authors
 # SPDX-License-Identifier: Apache-2.0
 
-"""Several threads: each has its own numbers, or is told that it cannot."""
+"""Several threads: each has its own numbers, or a refusal."""
 
 import copy
 import pickle

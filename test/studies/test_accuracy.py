@@ -76,7 +76,7 @@ def test_the_reference_knows_its_error_through_a_singular_position():
     assert error < 3.0 * found.error.position + 5e-12
 
 
-def test_the_larger_difference_of_two_proofs_is_told(monkeypatch):
+def test_the_larger_difference_of_two_proofs_is_reported(monkeypatch):
     places = []
 
     def spoiled(simulation, *arguments):

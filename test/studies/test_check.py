@@ -61,7 +61,7 @@ def test_a_machine_that_cannot_be_assembled_has_no_degrees_of_freedom():
     assert Simulation(load_scene(straight)).data.degrees_of_freedom() == 1
 
 
-def test_idle_freedoms_are_told():
+def test_idle_freedoms_are_reported():
     found = paragraphs(load_scene('rssr_four_bar'), Simulation(load_scene('rssr_four_bar')))
     assert any('1 of these: rod turns about' in line for line in found['Summary'])
     # A shaft between two bearings is driven, a platform moves with its legs.
@@ -150,19 +150,19 @@ def test_every_shipped_scene_is_described_in_plain_columns(name):
         assert joint.name in text
 
 
-def test_an_over_constrained_mechanism_is_told_what_can_move():
+def test_of_an_over_constrained_mechanism_what_can_move_is_named():
     assert dict(cells(paragraphs(parallelogram(rockers=4))['Summary']))['degrees of freedom'] == (
         '1 = 6 joints - 5 independent equations (3 of 8 repeat others)')
 
 
-@pytest.mark.parametrize('name, motion, told', [
+@pytest.mark.parametrize('name, motion, reported', [
     ('slider_crank', {'crank_joint': '1.0472'},
      '0 = 3 joints - 2 equations - 1 prescribed motion'),
     ('bennett', {'joint_1': '1+2*t'},
      '0 = 3 joints - 2 independent equations (3 of 5 repeat others) - 1 prescribed motion'),
     ('rssr_four_bar', {'crank': 't'},
      '1 = 5 of the joints - 3 equations - 1 prescribed motion')])
-def test_prescribed_motions_are_counted_apart_from_equations(name, motion, told):
+def test_prescribed_motions_are_counted_apart_from_equations(name, motion, reported):
     scene = moving(load_scene(name), motion)
     assert dict(cells(paragraphs(scene, Simulation(scene))['Summary']))[
-        'degrees of freedom'] == told
+        'degrees of freedom'] == reported

@@ -35,7 +35,7 @@ def test_every_type_of_effect_is_found_once(study):
         assert finding.energy > 0.0
 
 
-def test_arithmetic_and_motion_are_told_apart(study):
+def test_arithmetic_and_motion_are_distinguished(study):
     for finding in study.findings:
         assert finding.time == finding.without.value * finding.motion
     # The evaluations that the same run makes without rows.
@@ -55,16 +55,16 @@ def test_advice_follows_what_matters(study):
 
 
 def test_the_time_is_split_into_evaluations_and_what_one_takes(study):
-    def told(without, motion):
+    def words(without, motion):
         finding = replace(study.findings[-1], without=Ratio(without, without, without),
                           motion=motion)
         return effects_report.advice(replace(study, findings=(finding,)), 1.0)
 
-    assert 'takes 64 % of the time (40 % of an evaluation, 40 % of the evaluations)' in told(
+    assert 'takes 64 % of the time (40 % of an evaluation, 40 % of the evaluations)' in words(
         0.6, 0.6)
-    assert 'takes 40 % of the time (nothing of an evaluation, 40 % of the evaluations)' in told(
+    assert 'takes 40 % of the time (nothing of an evaluation, 40 % of the evaluations)' in words(
         0.995, 0.6)
-    assert 'without it the motion takes 20 % more time' in told(1.0, 1.2)
+    assert 'without it the motion takes 20 % more time' in words(1.0, 1.2)
 
 
 def test_what_changes_little_is_left_out_together(monkeypatch):
@@ -135,7 +135,7 @@ def test_a_scene_that_needs_an_effect_says_so(monkeypatch, tmp_path):
     effects_report.write(study, tmp_path)
 
 
-def test_the_noise_of_times_is_told(study):
+def test_the_noise_of_times_is_reported(study):
     # The same code in turn: whatever the machine is busy with, a median close to 1.
     assert study.again.value == pytest.approx(1.0, abs=0.1)
     assert 'measured once more' in effects_report.summary(study)
@@ -167,7 +167,7 @@ def test_the_carpet_asks_for_work(study):
     assert np.abs(study.run.balance[:, 4]).max() < 1e-3
 
 
-def test_losses_are_told_by_type(study):
+def test_losses_are_reported_by_type(study):
     losses = [effects_report.dissipated(study, finding) for finding in study.findings]
     assert sum(losses) == pytest.approx(study.run.balance[-1, 2], rel=1e-9)
     assert max(losses) == losses[3] > 20.0

@@ -228,8 +228,8 @@ def test_intervals_of_95_percent_hold_the_truth_as_often():
     assert 0.93 <= np.mean(inside) <= 0.97
     assert ((np.mean(inside, axis=0) >= 0.93) & (np.mean(inside, axis=0) <= 0.97)).all()
     # As wide as they have to be.
-    told = [found.estimates[key].deviation for key in keys]
-    np.testing.assert_allclose(np.std(values, axis=0), told, rtol=0.3)
+    reported = [found.estimates[key].deviation for key in keys]
+    np.testing.assert_allclose(np.std(values, axis=0), reported, rtol=0.3)
     for name, size in sizes.items():
         assert found.deviations[name] == pytest.approx(size, rel=0.3)
 

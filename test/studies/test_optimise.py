@@ -203,7 +203,7 @@ def test_longest_crank_that_turns_round_is_that_of_grashof():
     assert all(math.isfinite(aim) for aim in optimum.best.aims)
 
 
-def test_requirement_that_no_machine_meets_is_told():
+def test_requirement_that_no_machine_meets_is_reported():
     optimum = optimise('four_bar', {CRANK: (0.09, 0.11)}, 'max(coupler_point.x)',
                        'min(transmission_angle) >= 80deg', TURN, poses=9, starts=1, workers=1)
     assert optimum.best is None and not optimum.starts['aim 1 start 0'].feasible

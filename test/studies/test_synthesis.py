@@ -158,7 +158,7 @@ def test_strokes_follow_the_crank():
                                atol=1e-7)
 
 
-def test_defects_are_left_out_and_told():
+def test_defects_are_left_out_and_reported():
     made = four_bar()
     _, end, _ = curve(made, TURNS)
     # The same positions in another order.

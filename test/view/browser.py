@@ -57,12 +57,12 @@ def browser():
             stdout=subprocess.DEVNULL, stderr=subprocess.DEVNULL,
             preexec_fn=lambda: die_with(parent, signal.SIGKILL))
         try:
-            told = Path(home, 'DevToolsActivePort')
+            reported = Path(home, 'DevToolsActivePort')
             end = time.monotonic() + PATIENCE
-            while not (told.is_file() and len(told.read_text().splitlines()) == 2):
+            while not (reported.is_file() and len(reported.read_text().splitlines()) == 2):
                 assert process.poll() is None and time.monotonic() < end, 'no browser'
                 time.sleep(0.05)
-            port, path = told.read_text().splitlines()
+            port, path = reported.read_text().splitlines()
             with connect(f'ws://127.0.0.1:{port}{path}', max_size=None, open_timeout=PATIENCE,
                          ping_interval=None) as socket:
                 tabs = []

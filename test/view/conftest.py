@@ -1,7 +1,7 @@
 # SPDX-FileCopyrightText: 2026 The closedloop_dynamics authors
 # SPDX-License-Identifier: Apache-2.0
 
-"""A simulation that is shown, with a clock that moves when told; compiled once."""
+"""A simulation that is shown, with a clock that moves when set; compiled once."""
 
 import json
 import math

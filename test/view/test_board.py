@@ -15,7 +15,7 @@ import pytest
 
 pytestmark = pytest.mark.skipif(
     program() is None, reason='no Chromium is installed (Debian: apt install chromium)')
-CHECKED = ('page.edit.board.told.text === page.edit.board.text && '
+CHECKED = ('page.edit.board.reported.text === page.edit.board.text && '
            'page.edit.board.status.textContent')
 DEGREE = math.pi / 180.0
 
@@ -58,7 +58,7 @@ class Hand:
                 self.tab.mouse('mouseMoved', *self.seen(at), 1)
             self.release(end)
 
-    def told(self):
+    def reported(self):
         self.tab.wait(CHECKED)
         return self.tab.ask('page.edit.board.status.textContent')
 
@@ -138,7 +138,7 @@ TURN = [0.1, 0.3, 0.55, 0.8]
 
 def test_a_four_bar_is_drawn(hand):
     four_bar(hand)
-    assert hand.told().startswith('0 degrees of freedom left, 1 driven')
+    assert hand.reported().startswith('0 degrees of freedom left, 1 driven')
     at = hand.nodes()
     assert at['E'] == 0.06 + 0.1j
     for crank, places, _ in hand.run(TURN):
@@ -152,7 +152,7 @@ def test_a_slider_crank_is_drawn(hand):
     hand.click('ground', (0, 0))
     hand.click('slider', (0.1, 0), (0.14, 0))
     hand.click('motor', (0, 0))
-    assert hand.told().startswith('0 degrees of freedom left, 1 driven')
+    assert hand.reported().startswith('0 degrees of freedom left, 1 driven')
     at = hand.nodes()
     crank, rod = abs(at['B']), abs(at['C'] - at['B'])
     for turned, places, _ in hand.run(TURN):
@@ -167,7 +167,7 @@ def test_a_whitworth_quick_return_is_drawn(hand):
     hand.click('slot', (0, 0.06), (0, 0.08))
     hand.click('slider', (0.1, 0.08), (0.13, 0.08))
     hand.click('motor', (0, 0.04))
-    assert hand.told().startswith('0 degrees of freedom left, 1 driven')
+    assert hand.reported().startswith('0 degrees of freedom left, 1 driven')
     at = hand.nodes()
     rod = abs(at['E'] - at['B'])
     for turned, places, _ in hand.run(TURN):
@@ -183,7 +183,7 @@ def test_a_six_bar_linkage_is_drawn(hand):
     four_bar(hand)
     hand.drag('bar', ((0.06, 0.1), (0.18, 0.1)), ((0.18, 0.1), (0.18, 0)))
     hand.click('ground', (0.18, 0))
-    assert hand.told().startswith('0 degrees of freedom left, 1 driven')
+    assert hand.reported().startswith('0 degrees of freedom left, 1 driven')
     at = hand.nodes()
     for crank, places, _ in hand.run(TURN):
         e = coupler(at, crank)[2]
@@ -198,7 +198,7 @@ def test_peaucellier_draws_a_straight_line(hand):
     hand.click('ground', o, q)
     hand.click('trace', d)
     hand.click('motor', q)
-    assert hand.told().startswith('0 degrees of freedom left, 1 driven')
+    assert hand.reported().startswith('0 degrees of freedom left, 1 driven')
     name, = (name for name, place in hand.nodes().items() if place == 0.08)
     for turned, places, _ in hand.run([0.05, 0.1, 0.15]):
         assert abs(places[name] - complex(0.08, 0.08 * math.tan(0.5 * turned))) < 1e-8
@@ -231,7 +231,7 @@ def jansens_leg(hand):
 
 def test_jansens_leg_is_drawn(hand):
     put = jansens_leg(hand)
-    assert hand.told().startswith('0 degrees of freedom left, 1 driven')
+    assert hand.reported().startswith('0 degrees of freedom left, 1 driven')
     nodes = hand.nodes()
     names = {key: min(nodes, key=lambda name: abs(nodes[name] - complex(*place)))
              for key, place in put.items()}
@@ -259,7 +259,7 @@ def test_a_planetary_gear_is_drawn(hand):
     gears = [one for one in hand.ask('drawing.elements').values() if one['kind'] == 'gear']
     assert [(one['teeth'], one['ring'], one['fixed']) for one in gears] == [
         (20, False, None), (20, False, None), (60, True, 'ground')]
-    assert hand.told().startswith('0 degrees of freedom left, 1 driven')
+    assert hand.reported().startswith('0 degrees of freedom left, 1 driven')
     hand.tab.click('#board [data-do=fit]')
     top, bottom = hand.seen((0, 0.09))[1], hand.seen((0, -0.09))[1]
     assert 50 < top < bottom < hand.tab.ask('innerHeight')
@@ -276,7 +276,7 @@ def test_a_five_slot_geneva_drive_is_drawn(hand):
         hand.tab.click(f'#board .fields button:{button}-of-type')
     hand.click('motor', (0.1, 0))
     assert hand.ask('drawing.elements.geneva_1.slots') == 5
-    assert hand.told().startswith('1 degree of freedom left, 1 driven')
+    assert hand.reported().startswith('1 degree of freedom left, 1 driven')
     share = math.sin(math.pi / 5)
     for turned, _, simulation in hand.run([0.42, 0.47, 0.53, 0.58, 1.0]):
         wheel = dict(zip(simulation.coordinates.names, simulation.position))['A']
@@ -301,7 +301,7 @@ def test_other_elements_are_drawn(hand):
     hand.drag('force', ((0.1, 0.08), (0.12, 0.1)))
     hand.click('motor', (0.06, -0.01), (0, 0.07))
     # The crank with its bar, held by the rod of the cylinder; one gear train.
-    assert hand.told().startswith('1 degree of freedom left, 2 driven')
+    assert hand.reported().startswith('1 degree of freedom left, 2 driven')
     elements = hand.ask('drawing.elements')
     assert {one['kind'] for one in elements.values()} == {
         'link', 'cylinder', 'gear', 'mesh', 'belt', 'rack', 'spring', 'force', 'motor'}
@@ -334,7 +334,7 @@ def test_a_cam_lifts_its_roller_by_its_table(hand):
     hand.drag('cam', ((0, 0), (0, 0.05)))
     hand.click('slider', (0, 0.08), (0, 0.11))
     hand.click('motor', (0, 0))
-    words = hand.told()
+    words = hand.reported()
     assert words.startswith('2 degrees of freedom left, 1 driven'), words
     radii = hand.ask('drawing.elements.cam_1.radii')
     assert len(radii) == 36 and min(radii) == pytest.approx(0.04)
@@ -342,7 +342,7 @@ def test_a_cam_lifts_its_roller_by_its_table(hand):
     assert effect.radii == pytest.approx(radii) and effect.radius == pytest.approx(0.01)
 
 
-def test_what_repeats_and_what_is_wrong_is_told_beside_the_element(hand):
+def test_what_repeats_and_what_is_wrong_is_reported_beside_the_element(hand):
     # A parallelogram with a third crank moves, at these lengths only.
     for x in (0.0, 0.05, 0.1):
         hand.drag('bar', ((x, 0), (x, 0.04)))
@@ -350,19 +350,19 @@ def test_what_repeats_and_what_is_wrong_is_told_beside_the_element(hand):
     hand.click('link', (0, 0.04), (0.05, 0.04), (0.1, 0.04))
     hand.tab.ask("""page.edit.board.canvas.dispatchEvent(
         new KeyboardEvent("keydown", {key: "Enter", bubbles: true}))""")
-    words = hand.told()
+    words = hand.reported()
     assert words.startswith('1 degree of freedom: ')
     assert 'repeats others' in words and '(at these lengths only)' in words
     assert hand.ask('marked.length') > 0
     # A bar that hangs on nothing.
     hand.drag('bar', ((0.12, 0.08), (0.14, 0.08)))
-    words = hand.told()
+    words = hand.reported()
     assert "mechanism.bodies.link_5: expected joints that lead to 'ground', got none" in words
     assert hand.ask('marked') == ['link_5']
     assert hand.tab.ask('getComputedStyle(page.edit.board.status).color') == hand.tab.ask(
-        'getComputedStyle(document.querySelector("#board .told.bad")).color')
+        'getComputedStyle(document.querySelector("#board .reported.bad")).color')
     hand.tab.click('#board [data-do=undo]')
-    assert hand.told().startswith('1 degree of freedom: ')
+    assert hand.reported().startswith('1 degree of freedom: ')
     assert hand.ask('marked').count('link_5') == 0
 
 
@@ -403,20 +403,20 @@ def test_numbers_are_typed_with_units_undone_and_nudged_by_keys(hand):
 
 def test_text_that_the_board_cannot_draw_is_checked_and_simulated_by_the_server(hand):
     four_bar(hand)
-    hand.told()
+    hand.reported()
     text = hand.ask('text').replace('mechanism:\n', 'mechanism:\n  parameters: {m: 0.2}\n')
     type_text = """(() => {{
         page.edit.board.area.value = {!r};
         page.edit.board.area.dispatchEvent(new Event("input")); }})()"""
     hand.tab.ask(type_text.format(text.replace('speed: 6.28319', 'speed: 5*m')))
     hand.tab.wait('page.edit.board.text.includes("5*m")')
-    words = hand.told()
+    words = hand.reported()
     assert words.startswith('0 degrees of freedom left, 1 driven')
     line = text[:text.index('motor_1')].count('\n') + 1
     assert words.endswith(f'not drawn, line {line}: expected a number, got 5*m')
     hand.tab.ask(type_text.format(text.replace('speed: 6.28319', 'speed: 5*k')))
     hand.tab.wait('page.edit.board.text.includes("5*k")')
-    assert hand.told().startswith(f'line {line}: effects.motor_1.speed: expected a number')
+    assert hand.reported().startswith(f'line {line}: effects.motor_1.speed: expected a number')
 
 
 def test_a_pin_is_moved_by_a_finger(hand):
@@ -434,7 +434,7 @@ def test_a_drawing_is_simulated(tmp_path):
         tab.wait('page.edit.board.element.open')
         hand = Hand(tab)
         four_bar(hand)
-        hand.told()
+        hand.reported()
         tab.click('#board [data-do=simulate]')
         tab.wait('page.scene.title === "drawing" && !page.edit.board.element.open')
         tab.click('#play')
@@ -444,6 +444,6 @@ def test_a_drawing_is_simulated(tmp_path):
         assert hand.ask('text').startswith('mechanism:\n  name: drawing')
         assert runner.simulation.scene.name == 'drawing'
         hand.drag('bar', ((0.06, 0.1), (0.06, 0.11)))
-        hand.told()
+        hand.reported()
         tab.click('#board [data-do=simulate]')
         tab.wait('page.scene.bodies.length === 4 && !page.edit.board.element.open')

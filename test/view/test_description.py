@@ -28,28 +28,28 @@ def described(name):
     return describe(scene.mechanism, motion_columns(scene.mechanism), scene.effects)
 
 
-def body(told, name):
-    return next(body for body in told['bodies'] if body['name'] == name)
+def body(reported, name):
+    return next(body for body in reported['bodies'] if body['name'] == name)
 
 
 def test_bodies_with_shapes_are_drawn_as_these():
-    told = described('excavator_arm')
-    box, = body(told, 'rocker')['shapes']
+    reported = described('excavator_arm')
+    box, = body(reported, 'rocker')['shapes']
     assert (box['kind'], box['size'], box['center']) == (
         'box', [0.62, 0.3, 0.12], [0.31, 0.0, 0.0])
-    rod, = body(told, 'boom_rod')['shapes']
+    rod, = body(reported, 'boom_rod')['shapes']
     assert rod['kind'] == 'cylinder' and rod['radius'] == 0.045
     np.testing.assert_allclose(rod['to'], [-1.4, 0.0, 0.0], atol=1e-15)
     np.testing.assert_allclose(rod['from'], [0.0, 0.0, 0.0], atol=1e-15)
     # Others through their joints and points.
-    assert {'bar', 'faces'} == {shape['kind'] for shape in body(told, 'boom')['shapes']}
+    assert {'bar', 'faces'} == {shape['kind'] for shape in body(reported, 'boom')['shapes']}
 
 
 def test_the_ground_is_drawn_and_shapes_have_colors_of_their_own():
     mechanism = load_scene('four_bar').mechanism
     drawn = (Visual('box', (1.0, 2.0, 3.0), color=(1.0, 0.5, 0.0)), Visual('sphere', (0.1,)))
-    told = describe(replace(mechanism, ground_visual=drawn), motion_columns(mechanism))
-    assert [shape.get('color') for shape in told['ground']] == ['#ff8000', None]
+    reported = describe(replace(mechanism, ground_visual=drawn), motion_columns(mechanism))
+    assert [shape.get('color') for shape in reported['ground']] == ['#ff8000', None]
     assert describe(mechanism, motion_columns(mechanism))['ground'] == []
 
 
@@ -63,8 +63,8 @@ def test_springs_and_cables_are_lines_between_their_points():
 
 
 def test_an_outline_leads_the_roller_that_it_touches():
-    told = described('cam_follower')
-    cam, roller = sorted(told['wires'], key=lambda wire: wire['body'])
+    reported = described('cam_follower')
+    cam, roller = sorted(reported['wires'], key=lambda wire: wire['body'])
     np.testing.assert_allclose(cam['places'][0], cam['places'][-1], atol=1e-15)
     radii = np.hypot(*np.array(cam['places'])[:, :2].T)
     assert radii.min() == pytest.approx(0.04, abs=1e-4)
@@ -181,9 +181,9 @@ def test_meshes_are_shown_with_fewer_triangles(tmp_path):
     pytest.importorskip('trimesh')
     stl(tmp_path / 'globe.stl', globe(80))
     mechanism = with_mesh(tmp_path / 'globe.stl', (2.0, 2.0, 2.0))
-    told = describe(mechanism, motion_columns(mechanism))
-    mesh, = told['bodies'][0]['shapes']
-    assert told['missing'] == []
+    reported = describe(mechanism, motion_columns(mechanism))
+    mesh, = reported['bodies'][0]['shapes']
+    assert reported['missing'] == []
     assert 1000 < len(mesh['triangles']) <= meshes.MOST_TRIANGLES < len(globe(80))
     away = np.linalg.norm(np.array(mesh['points']) - [0.0, 0.0, 0.5], axis=1)
     assert 1.9 < away.min() and away.max() < 2.01
@@ -197,18 +197,18 @@ def test_meshes_are_shown_with_fewer_triangles(tmp_path):
     ('none.stl', None, 'No such file'), ('mesh.step', b'', 'expected a mesh (.stl'),
     ('mesh.stl', b'nonsense', 'expected triangles'),
     ('mesh.obj', b'', 'expected')])
-def test_a_mesh_that_is_missing_is_told_and_drawn_as_lines(tmp_path, name, content, problem):
+def test_a_mesh_that_is_missing_is_reported_and_drawn_as_lines(tmp_path, name, content, problem):
     pytest.importorskip('trimesh')
     if content is not None:
         (tmp_path / name).write_bytes(content)
     mechanism = with_mesh(tmp_path / name)
-    told = describe(mechanism, motion_columns(mechanism))
-    told_of, = told['missing']
-    assert told_of.startswith(f'{mechanism.bodies[0].name}: {tmp_path / name}: ')
-    assert problem in told_of
+    reported = describe(mechanism, motion_columns(mechanism))
+    named, = reported['missing']
+    assert named.startswith(f'{mechanism.bodies[0].name}: {tmp_path / name}: ')
+    assert problem in named
     bare = replace(mechanism, bodies=(
         replace(mechanism.bodies[0], visual=()), *mechanism.bodies[1:]))
-    assert told['bodies'][0]['shapes'] == describe(
+    assert reported['bodies'][0]['shapes'] == describe(
         bare, motion_columns(bare))['bodies'][0]['shapes']
 
 

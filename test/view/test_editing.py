@@ -28,7 +28,7 @@ import pytest
 
 
 class Edited:
-    """A runner whose clock moves when told, and what its pages know."""
+    """A runner whose clock moves when set, and what its pages know."""
 
     def __init__(self, scene='four_bar', folder=None):
         self.now = 50.0

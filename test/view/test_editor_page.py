@@ -135,13 +135,13 @@ def test_a_drawing_moves_as_its_scene(name, tab):
 
 
 @pytest.mark.parametrize('name, freedoms', (('four_bar', 1), ('redundant', 1), ('gears', 1)))
-def test_degrees_of_freedom_are_told(name, freedoms, tab):
+def test_degrees_of_freedom_are_shown(name, freedoms, tab):
     tab.ask(f'page.editor.board.drawing = new Drawing({json.dumps(DRAWINGS[name])})')
-    told = tab.ask('page.editor.made().told()')
-    assert told['error'] is None and told['freedoms'] == freedoms
+    reported = tab.ask('page.editor.made().reported()')
+    assert reported['error'] is None and reported['freedoms'] == freedoms
     # Of the parallelogram's third crank.
-    assert told['repeated'] == (['F'] if name == 'redundant' else [])
-    assert ('F repeats others' in told['words']) == (name == 'redundant')
+    assert reported['repeated'] == (['F'] if name == 'redundant' else [])
+    assert ('F repeats others' in reported['words']) == (name == 'redundant')
 
 
 def gear(node, teeth, ring=False, fixed=None):
@@ -238,16 +238,16 @@ def test_a_scene_is_drawn_again_from_its_text(name, drawn, tab):
 
 
 def typed(tab, text):
-    """Type a text into the board; return what is told of it."""
+    """Type a text into the board; return what is shown of it."""
     tab.ask(f"""(() => {{
         const {{area}} = page.editor.board;
         area.value = {json.dumps(text)};
         area.dispatchEvent(new Event("input")); }})()""")
-    tab.wait(f'page.editor.board.told.text === {json.dumps(text)}')
+    tab.wait(f'page.editor.board.reported.text === {json.dumps(text)}')
     return tab.ask('page.editor.board.status.textContent')
 
 
-def test_a_scene_is_typed_and_what_is_wrong_told_with_its_line(tab):
+def test_a_scene_is_typed_and_what_is_wrong_reported_with_its_line(tab):
     show(tab, FOUR_BAR)
     tab.ask('page.editor.board.open()')
     text = tab.ask('page.editor.board.text')
@@ -270,7 +270,7 @@ def test_a_scene_is_typed_and_what_is_wrong_told_with_its_line(tab):
     assert tab.ask('page.editor.board.element.open')
     tab.click('#board [data-do="simulate"]')
     assert tab.ask('page.editor.board.element.open')
-    # A click on what is told leads to the line.
+    # A click on what is shown leads to the line.
     tab.ask('page.editor.board.status.click()')
     area = 'page.editor.board.area'
     start, end = tab.ask(f'[{area}.selectionStart, {area}.selectionEnd]')

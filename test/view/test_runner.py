@@ -23,12 +23,12 @@ def controls(shown):
 
 def row(shown):
     """Return the columns of the newest frame, by group and name."""
-    told = json.loads(shown.feed.description)
+    reported = json.loads(shown.feed.description)
     values = np.frombuffer(shown.feed.frame()[0][16:], dtype=np.float32)
-    assert len(values) == told['columns']['width']
-    first = told['columns']['plots']
+    assert len(values) == reported['columns']['width']
+    first = reported['columns']['plots']
     return {(plot['group'], plot['name']): values[first + k]
-            for k, plot in enumerate(told['plots'])}
+            for k, plot in enumerate(reported['plots'])}
 
 
 def test_it_moves_as_without_a_page(shown):
@@ -48,9 +48,9 @@ def test_frames_show_the_state(shown):
     shown.run(30)
     shown.ask('pause')
     simulation = shown.simulation
-    told = json.loads(shown.feed.description)
+    reported = json.loads(shown.feed.description)
     values = np.frombuffer(shown.feed.frame()[0][16:], dtype=np.float32)
-    poses = values[:7 * len(told['bodies'])].reshape(-1, 7)
+    poses = values[:7 * len(reported['bodies'])].reshape(-1, 7)
     np.testing.assert_array_equal(
         poses, poses_in_space(simulation.body_poses).astype(np.float32))
     found = row(shown)
@@ -100,12 +100,12 @@ def test_slow_motion_is_even(shown):
     np.testing.assert_allclose(np.diff(times)[12:], 0.01 / 60.0, rtol=1e-6)
 
 
-def test_a_step_that_fails_stops_and_is_told(shown):
+def test_a_step_that_fails_stops_and_is_reported(shown):
     shown.ask('command', joint='theta_1', value=1e12)
     shown.ask('play')
     shown.run(60)
-    told = controls(shown)
-    assert not told['playing'] and 'kept' in told['failure']
+    reported = controls(shown)
+    assert not reported['playing'] and 'kept' in reported['failure']
     assert np.isfinite(shown.simulation.position).all()
     shown.ask('reset')
     assert controls(shown)['failure'] is None
@@ -180,22 +180,23 @@ def test_an_expression_without_a_value_stops_the_run_in_words(shown):
     shown.ask('command', joint='theta_1', value='1 + sqrt(0.1 - t)')
     shown.ask('play')
     shown.run(20)
-    told = controls(shown)
-    assert not told['playing'] and 'theta_1 has no finite value at t = 0.1' in told['failure']
+    reported = controls(shown)
+    assert not reported['playing']
+    assert 'theta_1 has no finite value at t = 0.1' in reported['failure']
     shown.ask('reset')
     assert controls(shown)['failure'] is None
 
 
-def test_what_accuracy_costs_is_told_while_it_runs(shown):
+def test_what_accuracy_costs_is_reported_while_it_runs(shown):
     def run():
         shown.ask('reset')
         shown.ask('command', joint='theta_1', value=5.0)
         shown.ask('play')
         # The estimate and the cost are looked at four times a second.
         shown.run(40)
-        told, row = json.loads(shown.feed.description), shown.runner.rows.row()
-        return {(plot['group'], plot['name']): row[told['columns']['plots'] + k]
-                for k, plot in enumerate(told['plots'])}
+        reported, row = json.loads(shown.feed.description), shown.runner.rows.row()
+        return {(plot['group'], plot['name']): row[reported['columns']['plots'] + k]
+                for k, plot in enumerate(reported['plots'])}
 
     before = controls(shown)['method']
     try:
@@ -243,10 +244,10 @@ def test_gravity_turns_and_is_switched_off(shown):
 def test_a_hand_pulls_as_a_spring_does(shown):
     simulation = shown.simulation
     shown.ask('effect', name='gravity', enabled=False)
-    told = json.loads(shown.feed.description)
-    body = next(k for k, one in enumerate(told['bodies']) if one['name'] == 'platform')
+    reported = json.loads(shown.feed.description)
+    body = next(k for k, one in enumerate(reported['bodies']) if one['name'] == 'platform')
     start = simulation.body_poses[body][:2]
-    place = next(k for k, grab in enumerate(told['bodies'][body]['grabs']) if not any(grab))
+    place = next(k for k, grab in enumerate(reported['bodies'][body]['grabs']) if not any(grab))
     at = [*(start + [0.03, 0.02]), 0.0]
     shown.ask('play')
     shown.ask('grab', body=body, place=place, at=at)
@@ -292,9 +293,9 @@ def test_loops_stay_closed_while_it_is_posed(shown):
     assert simulation.position[place] == pytest.approx(value, abs=1e-8)
     np.testing.assert_allclose(simulation.position[others], held, atol=1e-6)
     # By hand: the point follows as far as the legs reach.
-    told = json.loads(shown.feed.description)
-    body = next(k for k, one in enumerate(told['bodies']) if one['name'] == 'platform')
-    which = next(k for k, grab in enumerate(told['bodies'][body]['grabs']) if not any(grab))
+    reported = json.loads(shown.feed.description)
+    body = next(k for k, one in enumerate(reported['bodies']) if one['name'] == 'platform')
+    which = next(k for k, grab in enumerate(reported['bodies'][body]['grabs']) if not any(grab))
     at = [*(simulation.body_poses[body][:2] + [0.02, -0.03]), 0.0]
     shown.ask('grab', body=body, place=which, at=at)
     np.testing.assert_allclose(simulation.body_poses[body][:2], at[:2], atol=1e-6)
@@ -340,8 +341,8 @@ def test_lines_between_the_states_that_a_page_gets_miss_none(shown):
     # A page that shows one frame of them all.
     shown.run(60)
     frame, _, _ = shown.feed.frame(sampled)
-    told = shown.runner.described
-    times, rows = rows_of(frame, told['columns']['width'])
+    reported = shown.runner.described
+    times, rows = rows_of(frame, reported['columns']['width'])
     assert np.diff(times).min() > 0.0
     # They are the states of a run that is not shown, and fewer than its steps.
     alone = Simulation(load_scene('three_rrr_vertical'))
@@ -356,17 +357,17 @@ def test_lines_between_the_states_that_a_page_gets_miss_none(shown):
         points.append(alone.points[0])
         forces.append(np.linalg.norm(alone.constraint_forces[:, 1:], axis=1))
     inside = np.array(every) >= times[0]
-    first = told['columns']['plots'] + [plot['group'] for plot in told['plots']].index(
+    first = reported['columns']['plots'] + [plot['group'] for plot in reported['plots']].index(
         'force where loops close')
     for k, force in enumerate(np.transpose(forces)):
         between = np.interp(every, times, rows[:, first + k])
         # Ranges grow at the start of a run, and between frames the tolerance is that of both ends.
         assert np.abs(between - force)[inside].max() < 4.0 * OF_RANGE * np.ptp(forces)
     between = np.transpose([np.interp(every, times, place) for place in (
-        places_of(told['points'][0], rows)[:, :2].T)])
+        places_of(reported['points'][0], rows)[:, :2].T)])
     assert np.abs(between - points)[inside].max() < 4.0 * OF_SIZE * extent(alone.mechanism)
     # A page that has them gets none again, nor those of another run.
-    width = told['columns']['width']
+    width = reported['columns']['width']
     assert len(shown.feed.frame(shown.feed.frame()[2])[0]) == 16 + 4 * width
     shown.ask('reset')
     assert len(shown.feed.frame(0)[0]) == 16 + 4 * width
@@ -431,8 +432,8 @@ def test_a_step_that_takes_long_is_made_in_parts():
         assert now[0] - before < 0.06 or len(sizes) < 3
     assert min(sizes) < 0.05 * simulation.step_size
     assert simulation.time == pytest.approx(sum(sizes))
-    told = json.loads(runner.feed.controls)
-    assert told['achieved'] < 0.05 and told['failure'] is None
+    reported = json.loads(runner.feed.controls)
+    assert reported['achieved'] < 0.05 and reported['failure'] is None
     runner.feed.accept('page', json.dumps({'do': 'pause'}))
     runner.tick()
     assert not runner.playing

@@ -225,14 +225,14 @@ def test_bands_of_estimates_are_seen_whole_once_they_are_known():
     assert -5.0 < low < -4.0 and 5.0 < high < 6.0
 
 
-def test_forces_of_the_whole_run_are_told_beside_those_of_the_moment():
+def test_forces_of_the_whole_run_are_reported_beside_those_of_the_moment():
     motion, _ = simulated('four_bar')
     motion.forces[3, 0] = 0.0, 300.0, 400.0
     legend = pictures.positions(motion, 'forces').legends[0]
-    told = next(text.get_text() for text in legend.get_texts() if 'force' in text.get_text())
+    reported = next(text.get_text() for text in legend.get_texts() if 'force' in text.get_text())
     last = np.hypot(*motion.forces[-1, 0, 1:])
-    assert f'at {motion.time[-1]:.2f} s: up to {last:.3g} N' in told
-    assert 'whole run up to 500 N' in told
+    assert f'at {motion.time[-1]:.2f} s: up to {last:.3g} N' in reported
+    assert 'whole run up to 500 N' in reported
 
 
 def test_every_joint_has_a_row_of_its_own():

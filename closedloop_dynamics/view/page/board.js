@@ -51,7 +51,7 @@ class Board {
     [this.tool, this.selected, this.first, this.corners, this.pointers] = ['bar', null, null, [], new Map()];
     // The middle of the view [m], CSS pixels a metre, whether places snap to the grid, labels.
     [this.middle, this.scale, this.snaps, this.labels] = [[0.05, 0.03], 4000, true, true];
-    this.told = {};
+    this.reported = {};
     this.build();
   }
 
@@ -64,7 +64,7 @@ class Board {
       <button data-do="simulate" class="go">simulate</button><button data-do="close">close</button></header>
       <div class="body"><nav>${Object.keys(TOOLS).map(button).join('')}</nav>
       <div class="paper"><canvas tabindex="0" aria-label="the drawing"></canvas><p class="hint"></p>
-      <p class="told" role="status"></p></div>
+      <p class="reported" role="status"></p></div>
       <aside><div class="row"><label>unit <select data-set="unit">${Object.keys(LENGTH_UNITS).map(
         (unit) => `<option>${unit}</option>`).join('')}</select></label>
       <label><input type="checkbox" data-set="snaps" checked> snap to grid</label>
@@ -78,7 +78,7 @@ class Board {
     document.body.append(this.element);
     const find = (selector) => this.element.querySelector(selector);
     [this.canvas, this.fields, this.area, this.link, this.status] = [
-      find('canvas'), find('.fields'), find('.scene'), find('a'), find('.told')];
+      find('canvas'), find('.fields'), find('.scene'), find('a'), find('.reported')];
     this.area.oninput = () => {
       clearTimeout(this.waiting);
       this.waiting = setTimeout(() => this.read(this.area.value), CHECK_AFTER);
@@ -194,11 +194,11 @@ class Board {
 
   async check() {
     const {text, unread} = this;
-    const told = !text ? {} : unread && !this.host.reads ? {error: unread} : await this.host.check(this.drawing.name, text);
+    const reported = !text ? {} : unread && !this.host.reads ? {error: unread} : await this.host.check(this.drawing.name, text);
     if (text !== this.text) return;
     // The text that this is about.
-    this.told = {...told, text};
-    const {error, freedoms, driven, words} = told;
+    this.reported = {...reported, text};
+    const {error, freedoms, driven, words} = reported;
     this.status.textContent = !text ? 'nothing drawn yet' : error ?? `${freedoms} degree${
       freedoms === 1 ? '' : 's'} of freedom${driven ? ` left, ${driven} driven` : ''}: ${[...words, ...unread ? [`not drawn, ${unread}`] : []].join('; ')}`;
     this.status.classList.toggle('bad', Boolean(error));
@@ -207,7 +207,7 @@ class Board {
 
   // Names of what a message or a repeated equation is about.
   get marked() {
-    const words = `${this.told.error ?? ''} ${(this.told.repeated ?? []).join(' ')}`;
+    const words = `${this.reported.error ?? ''} ${(this.reported.repeated ?? []).join(' ')}`;
     return [...Object.keys(this.drawing.nodes), ...Object.keys(this.drawing.elements)].filter((name) => (
       new RegExp(`(^|[^A-Za-z0-9_])${name}(_\\d+|_guide|_barrel|_rod|_foot|_head)?([^A-Za-z0-9_]|$)`).test(words)));
   }

@@ -126,7 +126,7 @@ class DrawnMachine {
   }
 
   // Findings while it is drawn, from `view/checking.py`.
-  told() {
+  reported() {
     const {equations} = this, {nv} = equations;
     if (!equations.correction()) throw new Error('expected masses that resist every motion');
     const speeds = this.motors.filter(({law}) => law === 'speed').length, rank = equations.count - equations.dependent;
@@ -276,7 +276,7 @@ class EditorPage {
     this.board = new Board({
       check: async () => {
         try {
-          return this.made().told();
+          return this.made().reported();
         } catch (error) {
           return {error: error.message};
         }
@@ -310,7 +310,7 @@ class EditorPage {
     let made;
     try {
       made = this.made();
-      made.told();
+      made.reported();
     } catch (error) {
       page.complain(error.message);
       return;
