@@ -255,6 +255,7 @@ CurveDistance find_distance(Values curve, Vector2 point, bool closed, double * m
   if (best != guess) {
     nearest = nearest_on_piece(pieces + curve::COLUMNS * best, point);
   }
+  const bool straight = bulge(pieces + curve::COLUMNS * best) == 0.0;
   Index piece = best;
   for (Index neighbour : {best - 1, best + 1}) {
     const Index k = closed ? around(neighbour, count) : neighbour;
@@ -262,8 +263,9 @@ CurveDistance find_distance(Values curve, Vector2 point, bool closed, double * m
       continue;
     }
     const double * other = pieces + curve::COLUMNS * k;
-    // The end that it shares with the other piece is known.
-    if (is_nearest_at(neighbour > best, other, point)) {
+    // A straight piece is its chord, and no nearer; the end that it shares with the other piece is
+    // known.
+    if ((straight && bulge(other) == 0.0) || is_nearest_at(neighbour > best, other, point)) {
       continue;
     }
     const Nearest found = nearest_on_piece(other, point);
@@ -303,14 +305,16 @@ CurveDistance distance_from_curve(Values curve, Vector2 point, bool closed, doub
 {
   double * last = memory + nearby::LAST;
   // Friction at rest has a state evaluated several times.
-  if (memory[nearby::BEYOND] >= 0.0 && last[0] == point.x && last[1] == point.y) {
-    return {{last[2], last[3]}, last[4]};
+  if (!(memory[nearby::BEYOND] >= 0.0 && last[0] == point.x && last[1] == point.y)) {
+    const CurveDistance found = find_distance(curve, point, closed, memory);
+    last[0] = point.x;
+    last[1] = point.y;
+    last[2] = found.normal.x;
+    last[3] = found.normal.y;
+    last[4] = found.distance;
   }
-  const CurveDistance found = find_distance(curve, point, closed, memory);
-  for (double number : {point.x, point.y, found.normal.x, found.normal.y, found.distance}) {
-    *last++ = number;
-  }
-  return found;
+  // Number by number: two that were written apart are not read at once without waiting.
+  return {{last[2], last[3]}, last[4]};
 }
 
 Vector2 furthest_of_curve(Values pieces, Vector2 direction)

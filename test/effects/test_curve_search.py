@@ -47,6 +47,20 @@ def test_what_is_remembered_changes_nothing(closed, interpolation, seed):
         assert found == native.curve_distance(rows, closed, forgotten(), x, y)
 
 
+@pytest.mark.parametrize('interpolation', ['linear', 'cubic'])
+@pytest.mark.parametrize('seed', range(4))
+def test_what_is_remembered_changes_nothing_along_a_curve(interpolation, seed):
+    """As rollers go round, beside, on and in it, and again where they were; at times they leap."""
+    random = np.random.default_rng(300 + seed)
+    rows, memory = curve(random, True, interpolation), forgotten()
+    for first in random.uniform(0.0, 6.0, 3):
+        height = random.uniform(0.03, 0.08)
+        for angle in np.repeat(first + np.linspace(0.0, 1.0, 300), 2):
+            x, y = height * np.cos(angle), height * np.sin(angle)
+            found = native.curve_distance(rows, True, memory, x, y)
+            assert found == native.curve_distance(rows, True, forgotten(), x, y)
+
+
 @pytest.mark.parametrize('closed', [True, False])
 @pytest.mark.parametrize('seed', range(4))
 def test_no_place_of_a_straight_piece_is_nearer(closed, seed):
