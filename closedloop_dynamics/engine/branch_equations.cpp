@@ -286,15 +286,24 @@ bool BranchEquations::settle(const Component & part, Values q, Values rates)
 void BranchEquations::follow(
   const Component & part, Values q, Values rates, Values path_acceleration)
 {
+  bool known = true;
   for (Index i = 0; i < part.rows; ++i) {
-    double & total = right[row(part, i)];
-    total = 0.0;
-    for (Index k = 0; k < part.moving; ++k) {
-      total -= jac(row(part, i), independent(part, k)) * rates[independent(part, k)];
+    const Index equation = row(part, i);
+    double total = 0.0, size = 0.0, dependent = 0.0;
+    for (Index k = 0; k < part.rows + part.moving; ++k) {
+      dependent = k == part.rows ? total : dependent;
+      const double each = jac(equation, column(part, k)) * rates[column(part, k)];
+      total += each;
+      size += std::abs(each);
     }
+    right[equation] = dependent - total;
+    known = known && std::abs(total) <= ROUNDING * size;
   }
-  solve(part, rates);
-  evaluate(q, rates);
+  // On straight paths the rates that have been evaluated are those along the branch.
+  if (!known) {
+    solve(part, rates);
+    evaluate(q, rates);
+  }
   find_path_acceleration(part, path_acceleration);
 }
 

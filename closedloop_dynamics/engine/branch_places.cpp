@@ -229,7 +229,8 @@ private:
     double fastest = 0.0, sharpest = 0.0, longest = 0.0;
     for (Index k = 0; k < part.rows; ++k) {
       const Index j = equations_.column(part, k);
-      double place = 0.0, rate = 0.0, second = 0.0, fewer = 0.0;
+      const double lever = 1.0 / equations_.column_scale[j];
+      double place = 0.0, rate = 0.0, second = 0.0, fewer = 0.0, steep = 0.0, sharp = 0.0;
       for (Index n = 0; n < count_; ++n) {
         const double along = rates_(n, j), across = bends_(n, j);
         const double value = sloped ? VALUE_BY_SLOPES[n] : VALUE[n];
@@ -240,10 +241,12 @@ private:
           value * across;
         fewer += sloped ? FEWER_FOR_SLOPE[n] * along + FEWER_SLOPES[n] * across :
           FEWER_VALUES[n] * across;
-        fastest = std::max(fastest, std::abs(along) / equations_.column_scale[j]);
-        sharpest = std::max(sharpest, std::abs(across) / equations_.column_scale[j]);
+        steep = std::max(steep, std::abs(along));
+        sharp = std::max(sharp, std::abs(across));
       }
-      longest = std::max(longest, 1.0 / equations_.column_scale[j]);
+      fastest = std::max(fastest, lever * steep);
+      sharpest = std::max(sharpest, lever * sharp);
+      longest = std::max(longest, lever);
       point_.q[j] += place;
       point_.rate[j] = rate / step_;
       point_.path_acceleration[j] = second / (step_ * step_);

@@ -169,11 +169,11 @@ double loop_size(const Model & model, Index a)
       planar ? static_cast<Index>(plane::JOINT_X) : static_cast<Index>(space::PLACE));
     outer = model.tree(outer, tree::PARENT);
   }
-  double apart = 0.0;
+  double square = 0.0;
   for (Index n = 0; n < size; ++n) {
-    apart = std::hypot(apart, point_a[n] - point_b[n]);
+    square += (point_a[n] - point_b[n]) * (point_a[n] - point_b[n]);
   }
-  return std::max(longest, apart);
+  return std::max(longest, std::sqrt(square));
 }
 
 double largest_loop(const Model & model)
@@ -278,7 +278,10 @@ void scales(const Model & model, Table jac, Values row_scale, Values column_scal
         }
       }
     }
-    here = std::max(here, SHORTEST * loop_size(model, a, largest));
+    if (!(here > SHORTEST * largest)) {
+      // Only then it can be less than that of its own loop.
+      here = std::max(here, SHORTEST * loop_size(model, a, largest));
+    }
     longest = std::max(longest, here);
     for (Index i = first; i < last; ++i) {
       for (Index j = 0; j < nv; ++j) {

@@ -78,6 +78,22 @@ def test_acceleration_where_three_loops_are_flat_at_once(beside, in_space):
         simulation.acceleration, np.where(legs, -turning, turning), rtol=1e-10)
 
 
+def test_acceleration_beside_flat_positions_in_leaps_from_one_to_the_next():
+    """The links of parallelograms turn evenly: rates that the places ahead begin with hold."""
+    rng, mechanism = np.random.default_rng(3), machines.ladder(3)[0]
+    start = machines.ladder(3, 0.5 * math.pi, 2.0)[1:]
+    simulation = Simulation(machines.scene(mechanism, *start, Method()))
+    for _ in range(200):
+        beside, rate = rng.choice([-1.0, 1.0], 2) * 10.0 ** rng.uniform([-9.0, -2.0], [-2.0, 1.0])
+        _, q, rates = machines.ladder(3, 0.5 * math.pi + beside, rate)
+        turning = machines.G * (0.5 * 4.0 + 3.0) / (4.0 / 3.0 + 3.0) * math.cos(beside)
+        found, _ = simulation.forward_dynamics(q, rates)
+        legs = np.arange(len(q)) % 2 == 0
+        # Rounding, also of the links' centripetal accelerations.
+        np.testing.assert_allclose(
+            found, np.where(legs, -turning, turning), rtol=0, atol=1e-10 * (turning + rate ** 2))
+
+
 def test_multipliers_beside_a_change_point_fulfil_the_equations_of_motion():
     mechanism, *_ = machines.change_point_linkage()
     for beside in (1e-2, 1e-3, 1e-5):
