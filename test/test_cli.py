@@ -15,10 +15,9 @@ import sys
 import time
 import warnings
 
-from closedloop_dynamics import __version__, scene_names
+from closedloop_dynamics import __version__, scene_names, Simulation
 from closedloop_dynamics.cli import main
 from closedloop_dynamics.cli.commands import COMMANDS, parser
-from closedloop_dynamics.simulation.simulation import Simulation
 import pytest
 
 PROGRAM = (sys.executable, '-m', 'closedloop_dynamics.cli')

@@ -11,8 +11,7 @@ import resource
 import subprocess
 import sys
 
-from closedloop_dynamics.codegen import cache
-from closedloop_dynamics.codegen import machine_code as in_memory
+from closedloop_dynamics.codegen import cache, machine_code as in_memory
 from closedloop_dynamics.codegen.expression_graph import ExpressionGraph, LOAD, Q, QD, Routine
 from closedloop_dynamics.codegen.machine_code import machine_code, SCALAR
 import pytest

@@ -16,14 +16,13 @@ import shutil
 from test.recording.sample import QOS, STORE
 import warnings
 
+from closedloop_dynamics import load_scene, SceneError, Simulation
 from closedloop_dynamics.recording.contents import Topic
 from closedloop_dynamics.recording.errors import RecordingError
 from closedloop_dynamics.recording.reading import Bag, BagReadError
 from closedloop_dynamics.recording.recording import read_recording
 from closedloop_dynamics.recording.writer import BagFiles
-from closedloop_dynamics.scene.loading import load_scene, SceneError
 from closedloop_dynamics.scene.text import scene_text
-from closedloop_dynamics.simulation.simulation import Simulation
 import numpy as np
 import pytest
 

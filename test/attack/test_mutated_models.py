@@ -10,10 +10,9 @@ Seeded; a few hundred of each, thousands with ``--all``. Counts are printed (``-
 from collections import Counter
 import re
 
+from closedloop_dynamics import MechanismError, read_mechanism
 from closedloop_dynamics.formats.registry import read_model
 from closedloop_dynamics.formats.yaml_text import mechanism_text
-from closedloop_dynamics.mechanism.mechanism import MechanismError
-from closedloop_dynamics.mechanism.reader import read_mechanism
 import numpy as np
 import pytest
 

@@ -12,10 +12,8 @@ import math
 import re
 import shutil
 
+from closedloop_dynamics import load_scene, MechanismError, SceneError, Simulation
 from closedloop_dynamics.mechanism.config import config_directory
-from closedloop_dynamics.mechanism.mechanism import MechanismError
-from closedloop_dynamics.scene.loading import load_scene, SceneError
-from closedloop_dynamics.simulation.simulation import Simulation
 import numpy as np
 import pytest
 

@@ -15,11 +15,9 @@ from importlib import metadata
 from pathlib import Path
 import re
 
+from closedloop_dynamics import AssemblyError, MechanismError, Simulation
 from closedloop_dynamics.formats.registry import read_model, writer
-from closedloop_dynamics.mechanism.errors import AssemblyError
-from closedloop_dynamics.mechanism.mechanism import MechanismError
 from closedloop_dynamics.scene.model_scene import assembled, scene_of_model
-from closedloop_dynamics.simulation.simulation import Simulation
 import numpy as np
 import pytest
 

@@ -13,9 +13,8 @@ from collections import Counter
 from pathlib import Path
 import warnings
 
+from closedloop_dynamics import MechanismError, SimulationError
 from closedloop_dynamics.integration import system
-from closedloop_dynamics.mechanism.errors import SimulationError
-from closedloop_dynamics.mechanism.mechanism import MechanismError
 from closedloop_dynamics.mechanism.reader import mechanism_of
 from closedloop_dynamics.scene.tree_choice import cheapest
 import numpy as np

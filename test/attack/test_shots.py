@@ -11,9 +11,8 @@ and says nothing, is a silent one.
 import collections
 import warnings
 
-from closedloop_dynamics.effects.body_contact import BodyContact
-from closedloop_dynamics.mechanism.errors import NumericalError, SimulationError
-from closedloop_dynamics.scene.records import Method
+from closedloop_dynamics import Method, NumericalError, SimulationError
+from closedloop_dynamics.effects.registry import BodyContact
 import numpy as np
 import pytest
 

@@ -8,9 +8,8 @@ import os
 import subprocess
 import sys
 
+from closedloop_dynamics import Model, Simulation
 from closedloop_dynamics.codegen import c_code
-from closedloop_dynamics.simulation.model import Model
-from closedloop_dynamics.simulation.simulation import Simulation
 import numpy as np
 import pytest
 

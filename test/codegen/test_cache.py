@@ -7,10 +7,8 @@ import os
 from pathlib import Path
 import time
 
-from closedloop_dynamics.codegen import cache
-from closedloop_dynamics.codegen import machine_code
-from closedloop_dynamics.simulation.derivatives import Differentiator
-from closedloop_dynamics.simulation.simulation import Simulation
+from closedloop_dynamics import Differentiator, Simulation
+from closedloop_dynamics.codegen import cache, machine_code
 import numpy as np
 import pytest
 

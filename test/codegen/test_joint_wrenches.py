@@ -5,17 +5,12 @@
 
 from dataclasses import replace
 
-from closedloop_dynamics.effects.external_force import ExternalForce
-from closedloop_dynamics.effects.gravity import Gravity
-from closedloop_dynamics.effects.joint_damping import JointDamping
-from closedloop_dynamics.effects.joint_spring import JointSpring
-from closedloop_dynamics.effects.point_spring import PointSpring
-from closedloop_dynamics.effects.rotor import Rotor
+from closedloop_dynamics import (
+    Body, CutJoint, Joint, Mechanism, Point, Simulation, SimulationError)
+from closedloop_dynamics.effects.registry import (
+    ExternalForce, Gravity, JointDamping, JointSpring, PointSpring, Rotor)
 from closedloop_dynamics.engine.types import BODY_A, CUT_NUMBER
-from closedloop_dynamics.mechanism.errors import SimulationError
-from closedloop_dynamics.mechanism.mechanism import (
-    Body, CutJoint, GROUND, Joint, Mechanism, Point, REVOLUTE)
-from closedloop_dynamics.simulation.simulation import Simulation
+from closedloop_dynamics.mechanism.mechanism import GROUND, REVOLUTE
 import numpy as np
 import pytest
 

@@ -6,15 +6,13 @@
 from copy import deepcopy
 from dataclasses import replace
 
-from closedloop_dynamics import codegen
+from closedloop_dynamics import (
+    Body, codegen, Coupling, CutJoint, Joint, load_scene, Mechanism, Simulation)
 from closedloop_dynamics.engine.types import (
     PROJECTION_ITERATIONS, RANK, RANK_REVEALING_COUNT, SMALLEST_PIVOT)
 from closedloop_dynamics.integration.registry import PROJECTION
 from closedloop_dynamics.integration.system import build_system
 from closedloop_dynamics.kinematics.modeling import build_model
-from closedloop_dynamics.mechanism.mechanism import Body, Coupling, CutJoint, Joint, Mechanism
-from closedloop_dynamics.scene.loading import load_scene
-from closedloop_dynamics.simulation.simulation import Simulation
 import numpy as np
 import pytest
 

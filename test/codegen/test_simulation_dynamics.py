@@ -6,8 +6,7 @@
 from dataclasses import replace
 from functools import partial
 
-from closedloop_dynamics import Simulation
-from closedloop_dynamics.mechanism.errors import AssemblyError, SimulationError
+from closedloop_dynamics import AssemblyError, Simulation, SimulationError
 import numpy as np
 import pytest
 

@@ -5,8 +5,7 @@
 
 import math
 
-from closedloop_dynamics.mechanism.mechanism import (
-    Body, CutJoint, Joint, Mechanism, Point)
+from closedloop_dynamics import Body, CutJoint, Joint, Mechanism, Point
 import numpy as np
 
 from ..reference import scenes

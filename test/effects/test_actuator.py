@@ -3,8 +3,7 @@
 
 """Limits, lag and delay of a drive."""
 
-from closedloop_dynamics.effects.actuator import Actuator
-from closedloop_dynamics.effects.joint_damping import JointDamping
+from closedloop_dynamics.effects.registry import Actuator, JointDamping
 from closedloop_dynamics.mechanism.fields import FieldError
 import numpy as np
 import pytest

@@ -6,14 +6,11 @@
 from dataclasses import replace
 import math
 
+from closedloop_dynamics import Body, Joint, load_scene, Mechanism, Point, Simulation
 from closedloop_dynamics.effects import curve
-from closedloop_dynamics.effects.body_contact import BodyContact, damping
-from closedloop_dynamics.effects.contact import Contact
-from closedloop_dynamics.effects.gravity import Gravity
+from closedloop_dynamics.effects.body_contact import damping
+from closedloop_dynamics.effects.registry import BodyContact, Contact, Gravity
 from closedloop_dynamics.mechanism.fields import FieldError
-from closedloop_dynamics.mechanism.mechanism import Body, Joint, Mechanism, Point
-from closedloop_dynamics.scene.loading import load_scene
-from closedloop_dynamics.simulation.simulation import Simulation
 import numpy as np
 import pytest
 from scipy.integrate import solve_ivp

@@ -3,11 +3,10 @@
 
 """Balls on planes, spheres and cylinders: forces, rolling, impacts, balance."""
 
-from closedloop_dynamics.effects.body_contact import BodyContact
-from closedloop_dynamics.effects.contact import Contact
-from closedloop_dynamics.effects.gravity import Gravity
+from closedloop_dynamics import Body, Joint, Mechanism, Point
+from closedloop_dynamics.effects.registry import BodyContact, Contact, Gravity
 from closedloop_dynamics.mechanism.fields import FieldError
-from closedloop_dynamics.mechanism.mechanism import Body, GROUND, Joint, Mechanism, Point
+from closedloop_dynamics.mechanism.mechanism import GROUND
 import numpy as np
 import pytest
 

@@ -6,14 +6,11 @@
 from dataclasses import replace
 import math
 
+from closedloop_dynamics import (
+    Body, Joint, load_scene, Mechanism, NumericalError, Point, Simulation)
 from closedloop_dynamics.codegen.spatial import rotation
-from closedloop_dynamics.effects.cable import Cable
-from closedloop_dynamics.effects.gravity import Gravity
+from closedloop_dynamics.effects.registry import Cable, Gravity
 from closedloop_dynamics.mechanism.checks import orientation
-from closedloop_dynamics.mechanism.errors import NumericalError
-from closedloop_dynamics.mechanism.mechanism import Body, Joint, Mechanism, Point
-from closedloop_dynamics.scene.loading import load_scene
-from closedloop_dynamics.simulation.simulation import Simulation
 import numpy as np
 import pytest
 

@@ -5,13 +5,11 @@
 
 import math
 
-from closedloop_dynamics.effects.gravity import Gravity
-from closedloop_dynamics.effects.prescribed_motion import PrescribedMotion
+from closedloop_dynamics import load_scene, Simulation
+from closedloop_dynamics.effects.registry import Gravity, PrescribedMotion
 from closedloop_dynamics.mechanism.errors import MotionError
 from closedloop_dynamics.mechanism.fields import FieldError
-from closedloop_dynamics.scene.loading import load_scene
 from closedloop_dynamics.scene.text import read_scene_text, scene_text
-from closedloop_dynamics.simulation.simulation import Simulation
 import numpy as np
 import pytest
 

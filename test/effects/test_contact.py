@@ -3,8 +3,7 @@
 
 """Contact of a point with a line."""
 
-from closedloop_dynamics.effects.contact import Contact
-from closedloop_dynamics.effects.gravity import Gravity
+from closedloop_dynamics.effects.registry import Contact, Gravity
 import numpy as np
 import pytest
 

@@ -5,21 +5,14 @@
 
 from dataclasses import replace
 
-from closedloop_dynamics.effects.actuator import Actuator
-from closedloop_dynamics.effects.end_stop import EndStop
-from closedloop_dynamics.effects.force_table import ForceTable
-from closedloop_dynamics.effects.gravity import Gravity
-from closedloop_dynamics.effects.joint_damping import JointDamping
-from closedloop_dynamics.effects.joint_friction import JointFriction
-from closedloop_dynamics.effects.joint_spring import JointSpring
-from closedloop_dynamics.effects.prescribed_motion import PrescribedMotion
-from closedloop_dynamics.effects.rotor import Rotor
+from closedloop_dynamics import (
+    Body, CutJoint, Joint, Mechanism, MechanismError, Method, read_mechanism)
+from closedloop_dynamics.effects.registry import (
+    Actuator, EndStop, ForceTable, Gravity, JointDamping, JointFriction, JointSpring,
+    PrescribedMotion, Rotor)
 from closedloop_dynamics.mechanism.cut_freedoms import cut_freedoms
 from closedloop_dynamics.mechanism.fields import FieldError
-from closedloop_dynamics.mechanism.mechanism import (
-    Body, CutJoint, Joint, Mechanism, MechanismError)
-from closedloop_dynamics.mechanism.reader import read_mechanism, validate_mechanism
-from closedloop_dynamics.scene.records import Method
+from closedloop_dynamics.mechanism.reader import validate_mechanism
 import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation

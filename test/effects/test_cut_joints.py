@@ -6,28 +6,18 @@
 from dataclasses import replace
 import math
 
+from closedloop_dynamics import (
+    Body, CutJoint, Joint, Mechanism, MechanismError, Method, read_mechanism)
 from closedloop_dynamics.codegen.spatial import rotation
-from closedloop_dynamics.effects.actuator import Actuator
-from closedloop_dynamics.effects.end_stop import EndStop
-from closedloop_dynamics.effects.force_table import ForceTable
-from closedloop_dynamics.effects.gravity import Gravity
-from closedloop_dynamics.effects.joint_damping import JointDamping
-from closedloop_dynamics.effects.joint_friction import JointFriction
-from closedloop_dynamics.effects.joint_spring import JointSpring
-from closedloop_dynamics.effects.prescribed_force import PrescribedForce
-from closedloop_dynamics.effects.prescribed_motion import PrescribedMotion
-from closedloop_dynamics.effects.rotor import Rotor
-from closedloop_dynamics.effects.sensor import Sensor
+from closedloop_dynamics.effects.registry import (
+    Actuator, EndStop, ForceTable, Gravity, JointDamping, JointFriction, JointSpring,
+    PrescribedForce, PrescribedMotion, Rotor, Sensor)
 from closedloop_dynamics.formats.mjcf_writing import mjcf
 from closedloop_dynamics.formats.sdf_writing import sdf
 from closedloop_dynamics.formats.urdf_writing import urdf_with_loops
 from closedloop_dynamics.integration import system
 from closedloop_dynamics.mechanism.checks import orientation
 from closedloop_dynamics.mechanism.fields import FieldError
-from closedloop_dynamics.mechanism.mechanism import (
-    Body, CutJoint, Joint, Mechanism, MechanismError)
-from closedloop_dynamics.mechanism.reader import read_mechanism
-from closedloop_dynamics.scene.records import Method
 import numpy as np
 import pytest
 import yaml

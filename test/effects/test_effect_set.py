@@ -6,38 +6,15 @@
 from collections import Counter
 from dataclasses import astuple, fields, replace
 
-from closedloop_dynamics.codegen import cache
-from closedloop_dynamics.codegen import routines
-from closedloop_dynamics.effects.actuator import Actuator
-from closedloop_dynamics.effects.body_contact import BodyContact
-from closedloop_dynamics.effects.bushing import Bushing
-from closedloop_dynamics.effects.cable import Cable
-from closedloop_dynamics.effects.contact import Contact
-from closedloop_dynamics.effects.end_stop import EndStop
-from closedloop_dynamics.effects.external_force import ExternalForce
-from closedloop_dynamics.effects.fluid_drag import FluidDrag
-from closedloop_dynamics.effects.force_table import ForceTable
-from closedloop_dynamics.effects.gravity import Gravity
-from closedloop_dynamics.effects.joint_damping import JointDamping
-from closedloop_dynamics.effects.joint_friction import JointFriction
-from closedloop_dynamics.effects.joint_spring import JointSpring
-from closedloop_dynamics.effects.law import Law
-from closedloop_dynamics.effects.magnetic_spring import MagneticSpring
-from closedloop_dynamics.effects.payload import Payload
-from closedloop_dynamics.effects.point_spring import PointSpring
-from closedloop_dynamics.effects.prescribed_force import PrescribedForce
-from closedloop_dynamics.effects.prescribed_motion import PrescribedMotion
-from closedloop_dynamics.effects.registry import effect_type, EFFECTS
-from closedloop_dynamics.effects.rotor import Rotor
-from closedloop_dynamics.effects.sensor import Sensor
-from closedloop_dynamics.effects.tendon import Tendon
-from closedloop_dynamics.effects.tendon_friction import TendonFriction
-from closedloop_dynamics.effects.tendon_inertia import TendonInertia
+from closedloop_dynamics import (
+    AssemblyError, load_scene, Point, SceneError, Simulation, SimulationError)
+from closedloop_dynamics.codegen import cache, routines
+from closedloop_dynamics.effects.registry import (
+    Actuator, BodyContact, Bushing, Cable, Contact, effect_type, EFFECTS, EndStop, ExternalForce,
+    FluidDrag, ForceTable, Gravity, JointDamping, JointFriction, JointSpring, Law, MagneticSpring,
+    Payload, PointSpring, PrescribedForce, PrescribedMotion, Rotor, Sensor, Tendon, TendonFriction,
+    TendonInertia)
 from closedloop_dynamics.kinematics.modeling import build_model
-from closedloop_dynamics.mechanism.errors import AssemblyError, SimulationError
-from closedloop_dynamics.mechanism.mechanism import Point
-from closedloop_dynamics.scene.loading import load_scene, SceneError
-from closedloop_dynamics.simulation.simulation import Simulation
 import numpy as np
 import pytest
 

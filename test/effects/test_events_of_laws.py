@@ -5,13 +5,12 @@
 
 from dataclasses import dataclass
 
+from closedloop_dynamics import Differentiator
 from closedloop_dynamics.codegen.expression_graph import chosen
-from closedloop_dynamics.effects.end_stop import EndStop
-from closedloop_dynamics.effects.law import Law
+from closedloop_dynamics.effects.registry import EndStop, Law
 from closedloop_dynamics.effects.traced_effect import TracedEffect
 from closedloop_dynamics.effects.traced_laws import refused
 from closedloop_dynamics.mechanism.fields import FieldError
-from closedloop_dynamics.simulation.derivatives import Differentiator
 import pytest
 
 from .machines import assert_balanced, block, flyer, simulated, spatial_block

@@ -5,8 +5,7 @@
 
 import math
 
-from closedloop_dynamics.effects.fluid_drag import FluidDrag
-from closedloop_dynamics.effects.gravity import Gravity
+from closedloop_dynamics.effects.registry import FluidDrag, Gravity
 import numpy as np
 import pytest
 

@@ -3,10 +3,7 @@
 
 """Springs whose force over the stroke is a table."""
 
-from closedloop_dynamics.effects.force_table import ForceTable
-from closedloop_dynamics.effects.gravity import Gravity
-from closedloop_dynamics.effects.joint_spring import JointSpring
-from closedloop_dynamics.effects.point_spring import PointSpring
+from closedloop_dynamics.effects.registry import ForceTable, Gravity, JointSpring, PointSpring
 import numpy as np
 import pytest
 from scipy.interpolate import CubicSpline

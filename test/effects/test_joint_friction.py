@@ -5,20 +5,16 @@
 
 from dataclasses import replace
 
-from closedloop_dynamics import Simulation
+from closedloop_dynamics import Body, Joint, load_scene, Mechanism, Method, Simulation
 from closedloop_dynamics.codegen import TORQUE_RESPONSE
 from closedloop_dynamics.effects.dry_friction import dry_friction
 from closedloop_dynamics.effects.effect_table import EffectTable
 from closedloop_dynamics.effects.element import DISSIPATED, ForceElement, OWN, State
-from closedloop_dynamics.effects.gravity import Gravity
-from closedloop_dynamics.effects.joint_friction import JointFriction
-from closedloop_dynamics.effects.joint_spring import JointSpring
+from closedloop_dynamics.effects.registry import Gravity, JointFriction, JointSpring
 from closedloop_dynamics.integration import system
 from closedloop_dynamics.integration.registry import INTEGRATORS
 from closedloop_dynamics.kinematics.modeling import build_model
-from closedloop_dynamics.mechanism.mechanism import Body, Joint, Mechanism, REVOLUTE
-from closedloop_dynamics.scene.loading import load_scene
-from closedloop_dynamics.scene.records import Method
+from closedloop_dynamics.mechanism.mechanism import REVOLUTE
 import numpy as np
 import pytest
 from scipy.optimize import lsq_linear

@@ -3,10 +3,9 @@
 
 """Linear spring in a joint."""
 
-from closedloop_dynamics.effects.gravity import Gravity
-from closedloop_dynamics.effects.joint_spring import JointSpring
+from closedloop_dynamics import Body, Joint, Mechanism
+from closedloop_dynamics.effects.registry import Gravity, JointSpring
 from closedloop_dynamics.mechanism.fields import FieldError
-from closedloop_dynamics.mechanism.mechanism import Body, Joint, Mechanism
 import numpy as np
 import pytest
 

@@ -6,16 +6,10 @@
 from dataclasses import astuple
 import math
 
-from closedloop_dynamics import load_scene, Simulation, write_scene
+from closedloop_dynamics import load_scene, Simulation, SimulationError, write_scene
 from closedloop_dynamics.codegen import law_routine
-from closedloop_dynamics.effects.actuator import Actuator
-from closedloop_dynamics.effects.external_force import ExternalForce
-from closedloop_dynamics.effects.joint_damping import JointDamping
-from closedloop_dynamics.effects.joint_spring import JointSpring
-from closedloop_dynamics.effects.law import Law
-from closedloop_dynamics.effects.point_spring import PointSpring
-from closedloop_dynamics.effects.prescribed_force import PrescribedForce
-from closedloop_dynamics.mechanism.errors import SimulationError
+from closedloop_dynamics.effects.registry import (
+    Actuator, ExternalForce, JointDamping, JointSpring, Law, PointSpring, PrescribedForce)
 from closedloop_dynamics.mechanism.fields import FieldError
 import numpy as np
 import pytest

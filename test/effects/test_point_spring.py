@@ -3,8 +3,7 @@
 
 """Springs and dampers between points, and external forces: a published benchmark."""
 
-from closedloop_dynamics.effects.external_force import ExternalForce
-from closedloop_dynamics.effects.point_spring import PointSpring
+from closedloop_dynamics.effects.registry import ExternalForce, PointSpring
 import numpy as np
 import pytest
 

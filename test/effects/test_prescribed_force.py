@@ -5,11 +5,9 @@
 
 import math
 
-from closedloop_dynamics.effects.gravity import Gravity
-from closedloop_dynamics.effects.joint_spring import JointSpring
-from closedloop_dynamics.effects.prescribed_force import PrescribedForce
+from closedloop_dynamics import load_scene, SceneError
+from closedloop_dynamics.effects.registry import Gravity, JointSpring, PrescribedForce
 from closedloop_dynamics.mechanism.fields import FieldError
-from closedloop_dynamics.scene.loading import load_scene, SceneError
 import numpy as np
 import pytest
 from scipy.interpolate import CubicSpline

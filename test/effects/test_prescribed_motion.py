@@ -6,14 +6,12 @@
 from dataclasses import replace
 import math
 
-from closedloop_dynamics import Simulation
-from closedloop_dynamics.effects.actuator import Actuator
-from closedloop_dynamics.effects.gravity import Gravity
-from closedloop_dynamics.effects.prescribed_force import PrescribedForce
-from closedloop_dynamics.effects.prescribed_motion import PrescribedMotion, SHAPES
-from closedloop_dynamics.mechanism.errors import AssemblyError, MotionError, SimulationError
+from closedloop_dynamics import AssemblyError, load_scene, SceneError, Simulation, SimulationError
+from closedloop_dynamics.effects.prescribed_motion import SHAPES
+from closedloop_dynamics.effects.registry import (
+    Actuator, Gravity, PrescribedForce, PrescribedMotion)
+from closedloop_dynamics.mechanism.errors import MotionError
 from closedloop_dynamics.mechanism.fields import FieldError
-from closedloop_dynamics.scene.loading import load_scene, SceneError
 import numpy as np
 import pytest
 

@@ -3,12 +3,10 @@
 
 """Inertia of rotors behind gears."""
 
-from closedloop_dynamics.effects.gravity import Gravity
-from closedloop_dynamics.effects.payload import Payload
-from closedloop_dynamics.effects.rotor import Rotor
+from closedloop_dynamics import Body, CutJoint, Joint, Mechanism
+from closedloop_dynamics.effects.registry import Gravity, Payload, Rotor
 from closedloop_dynamics.integration.system import with_equations
 from closedloop_dynamics.mechanism.fields import FieldError
-from closedloop_dynamics.mechanism.mechanism import Body, CutJoint, Joint, Mechanism
 import numpy as np
 import pytest
 

@@ -5,12 +5,10 @@
 
 from dataclasses import replace
 
-from closedloop_dynamics import Simulation
+from closedloop_dynamics import load_scene, Point, Simulation
 from closedloop_dynamics.effects.element import DISSIPATED, STORED, WORK
 from closedloop_dynamics.effects.registry import EFFECTS
 from closedloop_dynamics.integration.system import parts_of_state
-from closedloop_dynamics.mechanism.mechanism import Point
-from closedloop_dynamics.scene.loading import load_scene
 import numpy as np
 import pytest
 

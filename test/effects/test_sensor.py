@@ -3,8 +3,7 @@
 
 """What is measured instead of what is."""
 
-from closedloop_dynamics.effects.gravity import Gravity
-from closedloop_dynamics.effects.sensor import Sensor
+from closedloop_dynamics.effects.registry import Gravity, Sensor
 import numpy as np
 import pytest
 

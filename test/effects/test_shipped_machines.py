@@ -6,9 +6,7 @@
 from dataclasses import replace
 import math
 
-from closedloop_dynamics import Simulation
-from closedloop_dynamics.mechanism.mechanism import CutJoint
-from closedloop_dynamics.scene.loading import load_scene
+from closedloop_dynamics import CutJoint, load_scene, Simulation
 import numpy as np
 import pytest
 from scipy.integrate import solve_ivp

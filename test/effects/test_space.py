@@ -6,27 +6,17 @@
 from dataclasses import replace
 from types import SimpleNamespace
 
+from closedloop_dynamics import Body, Joint, Mechanism, Point
 from closedloop_dynamics.codegen.space import WORK_COLUMNS
-from closedloop_dynamics.effects.actuator import Actuator
-from closedloop_dynamics.effects.bushing import Bushing
-from closedloop_dynamics.effects.cable import Cable
-from closedloop_dynamics.effects.contact import Contact
 from closedloop_dynamics.effects.effect import NameResolver
 from closedloop_dynamics.effects.effect_set import EffectSet
 from closedloop_dynamics.effects.effect_table import EffectTable
-from closedloop_dynamics.effects.end_stop import EndStop
-from closedloop_dynamics.effects.external_force import ExternalForce
-from closedloop_dynamics.effects.force_table import ForceTable
-from closedloop_dynamics.effects.gravity import Gravity
-from closedloop_dynamics.effects.joint_damping import JointDamping
-from closedloop_dynamics.effects.joint_spring import JointSpring
-from closedloop_dynamics.effects.payload import Payload
-from closedloop_dynamics.effects.point_spring import PointSpring
-from closedloop_dynamics.effects.prescribed_force import PrescribedForce
-from closedloop_dynamics.effects.rotor import Rotor
+from closedloop_dynamics.effects.registry import (
+    Actuator, Bushing, Cable, Contact, EndStop, ExternalForce, ForceTable, Gravity, JointDamping,
+    JointSpring, Payload, PointSpring, PrescribedForce, Rotor)
 from closedloop_dynamics.kinematics.modeling import build_model, mechanism_arrays
 from closedloop_dynamics.mechanism.fields import FieldError
-from closedloop_dynamics.mechanism.mechanism import Body, GROUND, Joint, Mechanism, Point
+from closedloop_dynamics.mechanism.mechanism import GROUND
 import numpy as np
 import pytest
 

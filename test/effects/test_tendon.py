@@ -3,10 +3,7 @@
 
 """Tendons over joints: forces by hand, a virtual work, closed forms, energy."""
 
-from closedloop_dynamics.effects.end_stop import EndStop
-from closedloop_dynamics.effects.joint_damping import JointDamping
-from closedloop_dynamics.effects.joint_spring import JointSpring
-from closedloop_dynamics.effects.tendon import Tendon
+from closedloop_dynamics.effects.registry import EndStop, JointDamping, JointSpring, Tendon
 import numpy as np
 import pytest
 

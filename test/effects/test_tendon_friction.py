@@ -3,10 +3,8 @@
 
 """Dry friction along sums of joint coordinates: that of one joint, rest by hand, energy, loops."""
 
-from closedloop_dynamics.effects.external_force import ExternalForce
-from closedloop_dynamics.effects.gravity import Gravity
-from closedloop_dynamics.effects.joint_friction import JointFriction
-from closedloop_dynamics.effects.tendon_friction import TendonFriction
+from closedloop_dynamics.effects.registry import (
+    ExternalForce, Gravity, JointFriction, TendonFriction)
 import numpy as np
 import pytest
 

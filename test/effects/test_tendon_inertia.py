@@ -3,11 +3,8 @@
 
 """Inertia along sums of joint coordinates: that of one joint, an inertia matrix, loops, energy."""
 
-from closedloop_dynamics.effects.external_force import ExternalForce
-from closedloop_dynamics.effects.gravity import Gravity
-from closedloop_dynamics.effects.rotor import Rotor
-from closedloop_dynamics.effects.tendon_friction import TendonFriction
-from closedloop_dynamics.effects.tendon_inertia import TendonInertia
+from closedloop_dynamics.effects.registry import (
+    ExternalForce, Gravity, Rotor, TendonFriction, TendonInertia)
 import numpy as np
 import pytest
 

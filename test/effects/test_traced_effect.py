@@ -9,18 +9,16 @@ import pickle
 import subprocess
 import sys
 
-from closedloop_dynamics import load_scene, Simulation, write_scene
+from closedloop_dynamics import load_scene, SceneError, Simulation, write_scene
 from closedloop_dynamics.cli import main
 from closedloop_dynamics.cli.commands import COMMANDS, parser
 from closedloop_dynamics.codegen import law_routine
 from closedloop_dynamics.codegen.expression_graph import chosen, exponential, larger
 from closedloop_dynamics.effects import registration, registry
-from closedloop_dynamics.effects.end_stop import EndStop
-from closedloop_dynamics.effects.law import Law
+from closedloop_dynamics.effects.registry import EndStop, Law
 from closedloop_dynamics.effects.traced_effect import TracedEffect
 from closedloop_dynamics.effects.user_code import run_code
 from closedloop_dynamics.mechanism.fields import FieldError
-from closedloop_dynamics.scene.loading import SceneError
 import numpy as np
 import pytest
 

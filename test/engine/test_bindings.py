@@ -10,6 +10,7 @@ import re
 import sys
 import weakref
 
+from closedloop_dynamics import Method, Simulation
 from closedloop_dynamics.codegen import function_table as calls
 from closedloop_dynamics.engine import native
 from closedloop_dynamics.engine.types import BODY_A, CUT_NUMBER, CUT_TYPE, PATH_B
@@ -18,9 +19,7 @@ from closedloop_dynamics.integration.run import DONE
 from closedloop_dynamics.integration.system import build_system, number_of_states
 from closedloop_dynamics.integration.tableau import RK4
 from closedloop_dynamics.kinematics.modeling import build_model
-from closedloop_dynamics.scene.records import Method
 from closedloop_dynamics.simulation.guards import guard_limits
-from closedloop_dynamics.simulation.simulation import Simulation
 import numpy as np
 import pytest
 

@@ -6,8 +6,7 @@
 from dataclasses import replace
 import math
 
-from closedloop_dynamics.scene.records import Method
-from closedloop_dynamics.simulation.simulation import Simulation
+from closedloop_dynamics import Method, Simulation
 import hard_machines as machines
 import numpy as np
 import pytest

@@ -13,22 +13,17 @@ from copy import deepcopy
 import ctypes
 import random
 
+from closedloop_dynamics import load_scene, Model, Sensitivity, Simulation
 from closedloop_dynamics.codegen.equations import Far, Loops, with_all_equations
 from closedloop_dynamics.codegen.workspace import allocate
 from closedloop_dynamics.effects import effect_table
 from closedloop_dynamics.effects.expression import program
-from closedloop_dynamics.effects.fluid_drag import FluidDrag
-from closedloop_dynamics.effects.joint_spring import JointSpring
-from closedloop_dynamics.effects.law import Law
+from closedloop_dynamics.effects.registry import FluidDrag, JointSpring, Law
 from closedloop_dynamics.engine import native
 from closedloop_dynamics.integration.registry import PROJECTION
 from closedloop_dynamics.kinematics.pose_grid import Axis, Platform, PoseGrid
-from closedloop_dynamics.scene.loading import load_scene
 from closedloop_dynamics.simulation.derivative_code import DerivativeCode
-from closedloop_dynamics.simulation.model import Model
 from closedloop_dynamics.simulation.rollout_run import QUANTITIES
-from closedloop_dynamics.simulation.sensitivity import Sensitivity
-from closedloop_dynamics.simulation.simulation import Simulation
 from closedloop_dynamics.simulation.traced_scene import TracedScene
 import numpy as np
 import pytest

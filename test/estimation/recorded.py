@@ -6,11 +6,10 @@
 from functools import lru_cache
 from types import SimpleNamespace
 
+from closedloop_dynamics import load_scene, Simulation
 from closedloop_dynamics.control.files import Controller, read_controller
 from closedloop_dynamics.mechanism.config import config_directory
 from closedloop_dynamics.recording.forces import MessageBag
-from closedloop_dynamics.scene.loading import load_scene
-from closedloop_dynamics.simulation.simulation import Simulation
 
 FOLDER = config_directory() / 'estimation'
 SENSORS, MACHINE = FOLDER / 'three_rrr_sensors.yaml', FOLDER / 'three_rrr_machine.yaml'

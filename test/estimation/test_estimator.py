@@ -7,8 +7,7 @@ import closedloop_dynamics as cld
 from closedloop_dynamics.estimation.estimator import Estimator, Noise, SIGMA_POINTS, Start
 from closedloop_dynamics.estimation.sensors import (
     encoder_deviation, ImuSensor, JointSensor, PointSensor, WrenchSensor)
-from closedloop_dynamics.estimation.unknowns import (
-    Bias, JointTorque, Number, Payload, Wrench)
+from closedloop_dynamics.estimation.unknowns import Bias, JointTorque, Number, Payload, Wrench
 import numpy as np
 import pytest
 

@@ -7,6 +7,7 @@ import math
 from test.estimation.recorded import message, SENSORS, states, write_bag, write_csv
 from types import SimpleNamespace
 
+from closedloop_dynamics import load_scene, Model
 from closedloop_dynamics.estimation.record_file import (
     begun, read_events, record_of, without_latency)
 from closedloop_dynamics.estimation.setup_file import read_setup
@@ -16,8 +17,6 @@ from closedloop_dynamics.kinematics.passive_joint_solver import PassiveJointErro
 from closedloop_dynamics.recording.errors import RecordingError
 from closedloop_dynamics.recording.forces import MessageBag
 from closedloop_dynamics.recording.reading import BagReadError
-from closedloop_dynamics.scene.loading import load_scene
-from closedloop_dynamics.simulation.model import Model
 import numpy as np
 import pytest
 

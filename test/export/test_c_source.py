@@ -12,24 +12,16 @@ import runpy
 import shutil
 import subprocess
 
+from closedloop_dynamics import (
+    c_source, Differentiator, load_scene, Model, Simulation, SimulationError, Stepper)
 from closedloop_dynamics.cli import main
 from closedloop_dynamics.codegen.c_writer import SINE_AND_COSINE
-from closedloop_dynamics.effects.external_force import ExternalForce
-from closedloop_dynamics.effects.joint_damping import JointDamping
-from closedloop_dynamics.effects.joint_spring import JointSpring
-from closedloop_dynamics.effects.law import Law
-from closedloop_dynamics.effects.payload import Payload
-from closedloop_dynamics.effects.point_spring import PointSpring
+from closedloop_dynamics.effects.registry import (
+    ExternalForce, JointDamping, JointSpring, Law, Payload, PointSpring)
 from closedloop_dynamics.export.c_run import error_of_float32, step_cost
-from closedloop_dynamics.export.c_source import c_cost, c_source
-from closedloop_dynamics.mechanism.errors import SimulationError
+from closedloop_dynamics.export.c_source import c_cost
 from closedloop_dynamics.mechanism.rotations import of_quaternion
-from closedloop_dynamics.scene.loading import load_scene
-from closedloop_dynamics.simulation.derivatives import Differentiator
 from closedloop_dynamics.simulation.independent import choose_independent
-from closedloop_dynamics.simulation.model import Model
-from closedloop_dynamics.simulation.simulation import Simulation
-from closedloop_dynamics.simulation.stepper import Stepper
 import numpy as np
 import pytest
 

@@ -5,9 +5,8 @@
 
 import ctypes
 
-from closedloop_dynamics import Model, Sensitivity, SimulationError
+from closedloop_dynamics import ClosureError, Model, Sensitivity, SimulationError
 from closedloop_dynamics.export.callable_steps import CallableSteps, failure
-from closedloop_dynamics.mechanism.errors import ClosureError
 import numpy as np
 import pytest
 

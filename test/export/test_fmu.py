@@ -13,16 +13,13 @@ import subprocess
 from xml.etree import ElementTree
 from zipfile import ZipFile
 
+from closedloop_dynamics import fmu, Linearisation, load_scene, Simulation, SimulationError
 from closedloop_dynamics.cli import main
 from closedloop_dynamics.engine import build
 from closedloop_dynamics.export.c_run import compiled
-from closedloop_dynamics.export.fmu import fmu
-from closedloop_dynamics.mechanism.errors import InaccuracyWarning, SimulationError
+from closedloop_dynamics.mechanism.errors import InaccuracyWarning
 from closedloop_dynamics.scene.key_paths import changed, resolve
-from closedloop_dynamics.scene.loading import load_scene
 from closedloop_dynamics.simulation.guards import ENERGY_WARN
-from closedloop_dynamics.simulation.linearisation import Linearisation
-from closedloop_dynamics.simulation.simulation import Simulation
 import numpy as np
 import pytest
 

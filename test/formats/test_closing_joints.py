@@ -3,10 +3,9 @@
 
 """Drives, springs, dampers and stops of joints that close loops are imported with them."""
 
-from closedloop_dynamics import Simulation
+from closedloop_dynamics import load_scene, Simulation
 from closedloop_dynamics.formats.registry import read_model
 from closedloop_dynamics.kinematics.global_assembly import find_closed
-from closedloop_dynamics.scene.loading import load_scene
 from closedloop_dynamics.scene.model_scene import assembled
 import numpy as np
 import pytest

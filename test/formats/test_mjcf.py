@@ -3,6 +3,7 @@
 
 """MJCF: the same closures as MuJoCo has them, and what is refused."""
 
+from closedloop_dynamics import MechanismError, read_mechanism
 from closedloop_dynamics.formats.building import lines
 from closedloop_dynamics.formats.mjcf_omissions import FIELDS
 from closedloop_dynamics.formats.registry import read_model
@@ -10,8 +11,6 @@ from closedloop_dynamics.formats.yaml_text import mechanism_text
 from closedloop_dynamics.kinematics.global_assembly import ClosureProblem
 from closedloop_dynamics.kinematics.modeling import build_model
 from closedloop_dynamics.mechanism.closure import coupling_errors
-from closedloop_dynamics.mechanism.mechanism import MechanismError
-from closedloop_dynamics.mechanism.reader import read_mechanism
 import numpy as np
 import pytest
 

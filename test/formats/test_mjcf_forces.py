@@ -3,9 +3,8 @@
 
 """Accelerations of MJCF under all that acts in it: those of MuJoCo, by the engine itself."""
 
+from closedloop_dynamics import load_scene, Simulation
 from closedloop_dynamics.formats.registry import read_model
-from closedloop_dynamics.scene.loading import load_scene
-from closedloop_dynamics.simulation.simulation import Simulation
 import numpy as np
 import pytest
 

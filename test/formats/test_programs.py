@@ -6,14 +6,12 @@
 import builtins
 from dataclasses import replace
 
+from closedloop_dynamics import Coupling, load_scene, MechanismError, read_mechanism, SceneError
 from closedloop_dynamics.cli import main
 from closedloop_dynamics.formats.building import lines
 from closedloop_dynamics.formats.registry import read_model
 from closedloop_dynamics.kinematics.second_order import find_degrees_of_freedom
 from closedloop_dynamics.mechanism.document import UNREAD
-from closedloop_dynamics.mechanism.mechanism import Coupling, MechanismError
-from closedloop_dynamics.mechanism.reader import read_mechanism
-from closedloop_dynamics.scene.loading import load_scene, SceneError
 import numpy as np
 import pytest
 

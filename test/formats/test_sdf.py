@@ -3,11 +3,10 @@
 
 """SDF: frames, axes and joints of every type, in loops; and what is refused."""
 
+from closedloop_dynamics import MechanismError, read_mechanism
 from closedloop_dynamics.formats.registry import read_model
 from closedloop_dynamics.formats.yaml_text import mechanism_text
 from closedloop_dynamics.kinematics.global_assembly import ClosureProblem
-from closedloop_dynamics.mechanism.mechanism import MechanismError
-from closedloop_dynamics.mechanism.reader import read_mechanism
 from closedloop_dynamics.mechanism.rotations import of_quaternion
 import numpy as np
 import pytest

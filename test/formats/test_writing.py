@@ -6,6 +6,8 @@
 from dataclasses import replace
 from xml.etree import ElementTree
 
+from closedloop_dynamics import (
+    Body, Coupling, CouplingLaw, CutJoint, Joint, Mechanism, MechanismError, Point, read_mechanism)
 from closedloop_dynamics.cli import main
 from closedloop_dynamics.formats.in_space import in_space
 from closedloop_dynamics.formats.mjcf_writing import mjcf
@@ -18,9 +20,6 @@ from closedloop_dynamics.formats.writing import numbers
 from closedloop_dynamics.kinematics.global_assembly import ClosureProblem, find_closed
 from closedloop_dynamics.kinematics.modeling import build_model
 from closedloop_dynamics.mechanism.config import shipped_path
-from closedloop_dynamics.mechanism.mechanism import (
-    Body, Coupling, CouplingLaw, CutJoint, Joint, Mechanism, MechanismError, Point)
-from closedloop_dynamics.mechanism.reader import read_mechanism
 from closedloop_dynamics.mechanism.validation import validate_mechanism
 import numpy as np
 import pytest

@@ -15,10 +15,8 @@ import platform
 import subprocess
 import sys
 
+from closedloop_dynamics import c_source, load_scene, Simulation
 from closedloop_dynamics.engine import build
-from closedloop_dynamics.export.c_source import c_source
-from closedloop_dynamics.scene.loading import load_scene
-from closedloop_dynamics.simulation.simulation import Simulation
 import numpy as np
 import pytest
 

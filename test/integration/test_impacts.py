@@ -6,14 +6,10 @@
 from dataclasses import replace
 import math
 
-from closedloop_dynamics import load_scene, Simulation
+from closedloop_dynamics import Body, Joint, load_scene, Mechanism, Point, Simulation
 from closedloop_dynamics.effects import curve
-from closedloop_dynamics.effects.body_contact import BodyContact
-from closedloop_dynamics.effects.contact import Contact
-from closedloop_dynamics.effects.end_stop import EndStop
-from closedloop_dynamics.effects.gravity import Gravity
+from closedloop_dynamics.effects.registry import BodyContact, Contact, EndStop, Gravity
 from closedloop_dynamics.engine import native
-from closedloop_dynamics.mechanism.mechanism import Body, Joint, Mechanism, Point
 import numpy as np
 import pytest
 

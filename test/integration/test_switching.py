@@ -4,10 +4,8 @@
 
 from dataclasses import replace
 
+from closedloop_dynamics import load_scene, Method, scene_names, Simulation
 from closedloop_dynamics.engine.types import EVALUATIONS
-from closedloop_dynamics.scene.loading import load_scene, scene_names
-from closedloop_dynamics.scene.records import Method
-from closedloop_dynamics.simulation.simulation import Simulation
 import numpy as np
 import pytest
 

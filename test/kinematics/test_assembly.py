@@ -6,17 +6,14 @@
 from dataclasses import replace
 import math
 
+from closedloop_dynamics import (
+    AssemblyError, Body, CutJoint, Joint, load_scene, Mechanism, Model, scene_names, Simulation)
 from closedloop_dynamics.codegen.equations import Equations
 from closedloop_dynamics.engine.ranks import rank_of
 from closedloop_dynamics.kinematics.assembly import angle_notes, Assembler, TOLERANCE
 from closedloop_dynamics.kinematics.geometry import Geometry
 from closedloop_dynamics.kinematics.modeling import build_model
 from closedloop_dynamics.kinematics.second_order import find_degrees_of_freedom
-from closedloop_dynamics.mechanism.errors import AssemblyError
-from closedloop_dynamics.mechanism.mechanism import Body, CutJoint, Joint, Mechanism
-from closedloop_dynamics.scene.loading import load_scene, scene_names
-from closedloop_dynamics.simulation.model import Model
-from closedloop_dynamics.simulation.simulation import Simulation
 import numpy as np
 import pytest
 

@@ -7,12 +7,9 @@ from collections import Counter
 from dataclasses import replace
 from typing import NamedTuple
 
+from closedloop_dynamics import AssemblyError, Mechanism, Method, Simulation, SimulationError
 from closedloop_dynamics.integration import system
 from closedloop_dynamics.kinematics.change_points import branches_apart
-from closedloop_dynamics.mechanism.errors import AssemblyError, SimulationError
-from closedloop_dynamics.mechanism.mechanism import Mechanism
-from closedloop_dynamics.scene.records import Method
-from closedloop_dynamics.simulation.simulation import Simulation
 import hard_machines
 import numpy as np
 import pytest

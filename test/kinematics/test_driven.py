@@ -7,11 +7,10 @@ from contextlib import suppress
 import math
 import warnings
 
-from closedloop_dynamics import load_scene, Model
+from closedloop_dynamics import AssemblyError, load_scene, Model
 from closedloop_dynamics.kinematics.driven import (
     BranchEndError, CHANGE_POINT, driven_mechanism, DrivenKinematics, LIMIT)
 from closedloop_dynamics.kinematics.motions import moving
-from closedloop_dynamics.mechanism.errors import AssemblyError
 import numpy as np
 import pytest
 

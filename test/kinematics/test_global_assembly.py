@@ -3,12 +3,11 @@
 
 """Loops that are drawn wide open are closed, the right way round; what cannot be is reported."""
 
+from closedloop_dynamics import Body, Coupling, CutJoint, Joint, Mechanism
 from closedloop_dynamics.codegen import space
 from closedloop_dynamics.engine.types import CUT_NUMBER, POSSIBLE
 from closedloop_dynamics.kinematics.global_assembly import (
     CLOSED, ClosureProblem, find_closed, never_closed)
-from closedloop_dynamics.mechanism.mechanism import (
-    Body, Coupling, CutJoint, Joint, Mechanism)
 from closedloop_dynamics.mechanism.validation import validate_mechanism
 import numpy as np
 import pytest

@@ -5,10 +5,9 @@
 
 import math
 
+from closedloop_dynamics import load_scene, Simulation
 from closedloop_dynamics.cli import main
 from closedloop_dynamics.engine.ranks import rank_of
-from closedloop_dynamics.scene.loading import load_scene
-from closedloop_dynamics.simulation.simulation import Simulation
 import numpy as np
 import pytest
 from scipy.integrate import solve_ivp

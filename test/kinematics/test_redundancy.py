@@ -7,20 +7,17 @@ from dataclasses import replace
 from itertools import count, cycle
 from types import SimpleNamespace
 
+from closedloop_dynamics import (
+    Body, CutJoint, Initial, Joint, load_scene, Mechanism, NumericalError, Simulation)
 from closedloop_dynamics.cli import main
 from closedloop_dynamics.codegen.routines import operations
-from closedloop_dynamics.effects.joint_friction import JointFriction
+from closedloop_dynamics.effects.registry import JointFriction
 from closedloop_dynamics.engine.types import RANK_REVEALING_COUNT
 from closedloop_dynamics.kinematics import loop_model
 from closedloop_dynamics.kinematics.assembly import Assembler
 from closedloop_dynamics.kinematics.geometry import Geometry
 from closedloop_dynamics.kinematics.redundancy import ANY_LENGTHS, find_redundancy, THESE_LENGTHS
-from closedloop_dynamics.mechanism.errors import NumericalError
-from closedloop_dynamics.mechanism.mechanism import Body, CutJoint, Joint, Mechanism
 from closedloop_dynamics.mechanism.reader import with_cuts
-from closedloop_dynamics.scene.loading import load_scene
-from closedloop_dynamics.scene.records import Initial
-from closedloop_dynamics.simulation.simulation import Simulation
 from closedloop_dynamics.studies.check import describe
 import numpy as np
 import pytest

@@ -5,19 +5,15 @@
 
 from dataclasses import replace
 
+from closedloop_dynamics import AssemblyError, load_scene, Method, Model, scene_names, Simulation
 from closedloop_dynamics.integration import system
 from closedloop_dynamics.kinematics.assembly import Assembler
 from closedloop_dynamics.kinematics.geometry import Geometry
 from closedloop_dynamics.kinematics.motions import with_motions
 from closedloop_dynamics.kinematics.second_order import find_degrees_of_freedom, find_second_order
-from closedloop_dynamics.mechanism.errors import AssemblyError
 from closedloop_dynamics.mechanism.mechanism import REVOLUTE
 from closedloop_dynamics.recording.design import degrees_of_freedom
 from closedloop_dynamics.recording.kinematics import Drive, DrivenRun
-from closedloop_dynamics.scene.loading import load_scene, scene_names
-from closedloop_dynamics.scene.records import Method
-from closedloop_dynamics.simulation.model import Model
-from closedloop_dynamics.simulation.simulation import Simulation
 from closedloop_dynamics.studies.check import describe
 import hard_machines
 import numpy as np

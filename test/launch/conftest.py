@@ -5,8 +5,7 @@
 
 from importlib.util import find_spec
 
-from ament_index_python.packages import get_package_prefix
-from ament_index_python.packages import PackageNotFoundError
+from ament_index_python.packages import get_package_prefix, PackageNotFoundError
 
 # What each file launches.
 PACKAGES = {

@@ -5,10 +5,8 @@
 
 import math
 
-from closedloop_dynamics.mechanism.mechanism import MechanismError
-from closedloop_dynamics.mechanism.reader import read_mechanism, with_parameters
-from closedloop_dynamics.scene.loading import load_scene
-from closedloop_dynamics.simulation.simulation import Simulation
+from closedloop_dynamics import load_scene, MechanismError, read_mechanism, Simulation
+from closedloop_dynamics.mechanism.reader import with_parameters
 from closedloop_dynamics.view.editing import Editor
 import numpy as np
 import pytest

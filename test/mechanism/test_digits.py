@@ -10,16 +10,14 @@ The oracle is the same machine with all digits, and loops that stay closed on th
 
 import re
 
+from closedloop_dynamics import (
+    AssemblyError, load_scene, MechanismError, read_mechanism, SceneError, Simulation)
 from closedloop_dynamics.cli import main
 from closedloop_dynamics.formats.yaml_text import mechanism_text
 from closedloop_dynamics.kinematics.global_assembly import ClosureProblem, find_closed
 from closedloop_dynamics.mechanism.digits import extent, suspicions, with_agreement
-from closedloop_dynamics.mechanism.errors import AssemblyError
-from closedloop_dynamics.mechanism.mechanism import MechanismError, TOLERANCE
-from closedloop_dynamics.mechanism.reader import read_mechanism
+from closedloop_dynamics.mechanism.mechanism import TOLERANCE
 from closedloop_dynamics.mechanism.rotations import about, of_quaternion, quaternion_of
-from closedloop_dynamics.scene.loading import load_scene, SceneError
-from closedloop_dynamics.simulation.simulation import Simulation
 import numpy as np
 import pytest
 

@@ -6,13 +6,12 @@
 import math
 import random
 
+from closedloop_dynamics import load_scene, MechanismError, read_mechanism, SceneError
 from closedloop_dynamics.cli import main
 from closedloop_dynamics.mechanism.expressions import FUNCTIONS, Parameters
 from closedloop_dynamics.mechanism.fields import FieldError
-from closedloop_dynamics.mechanism.mechanism import MechanismError
-from closedloop_dynamics.mechanism.reader import read_mechanism, with_parameters
+from closedloop_dynamics.mechanism.reader import with_parameters
 from closedloop_dynamics.scene.key_paths import changed, numbers, resolve
-from closedloop_dynamics.scene.loading import load_scene, SceneError
 from closedloop_dynamics.sweep.plan import parse, Plan
 import pytest
 

@@ -5,11 +5,9 @@
 
 from dataclasses import replace
 
+from closedloop_dynamics import load_scene, Method, Simulation
 from closedloop_dynamics.mechanism.closure import closure
 from closedloop_dynamics.mechanism.kinematics import body_poses, named_point, pose_of
-from closedloop_dynamics.scene.loading import load_scene
-from closedloop_dynamics.scene.records import Method
-from closedloop_dynamics.simulation.simulation import Simulation
 import numpy as np
 import pytest
 

@@ -5,9 +5,8 @@
 
 import math
 
-from closedloop_dynamics.mechanism.mechanism import MechanismError
-from closedloop_dynamics.mechanism.reader import read_mechanism
-from closedloop_dynamics.scene.loading import load_scene, load_scene_or_mechanism
+from closedloop_dynamics import load_scene, MechanismError, read_mechanism
+from closedloop_dynamics.scene.loading import load_scene_or_mechanism
 import pytest
 import yaml
 

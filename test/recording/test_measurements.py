@@ -7,12 +7,11 @@ from dataclasses import replace
 from pathlib import Path
 from test.recording.test_replay import Recorder
 
+from closedloop_dynamics import identify, load_scene
 from closedloop_dynamics.cli import main
 from closedloop_dynamics.recording.measurements import between_states, read_measurements
 from closedloop_dynamics.recording.recording import RecordingError
 from closedloop_dynamics.scene.key_paths import changed, resolve
-from closedloop_dynamics.scene.loading import load_scene
-from closedloop_dynamics.studies.identification import identify
 import numpy as np
 import pytest
 

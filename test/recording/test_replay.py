@@ -5,13 +5,12 @@
 
 from dataclasses import replace
 
-from closedloop_dynamics.effects.joint_damping import JointDamping
+from closedloop_dynamics import load_scene, Simulation
+from closedloop_dynamics.effects.registry import JointDamping
 from closedloop_dynamics.recording.recording import Log, Recording
 from closedloop_dynamics.recording.replay import replay, table
-from closedloop_dynamics.scene.loading import load_scene
 from closedloop_dynamics.scene.text import read_scene_text, scene_text
 from closedloop_dynamics.simulation.monitor import Monitor
-from closedloop_dynamics.simulation.simulation import Simulation
 from closedloop_dynamics.visual.pictures import deviations
 from closedloop_dynamics.visual.trajectory import Trajectory
 import numpy as np

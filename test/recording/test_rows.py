@@ -8,10 +8,10 @@ import csv
 from dataclasses import replace
 import json
 
+from closedloop_dynamics import load_scene, MechanismError, scene_names
 from closedloop_dynamics.cli import main
 from closedloop_dynamics.cli.command import recording_of, UsageError
 from closedloop_dynamics.mechanism.closure import closure
-from closedloop_dynamics.mechanism.mechanism import MechanismError
 from closedloop_dynamics.recording import recording as recordings
 from closedloop_dynamics.recording.errors import RecordingError
 from closedloop_dynamics.recording.kinematics import Drive, DrivenRun
@@ -19,7 +19,6 @@ from closedloop_dynamics.recording.quantities import by_name
 from closedloop_dynamics.recording.recording import read_recording, Recording
 from closedloop_dynamics.recording.rows import read_rows, scene_path
 from closedloop_dynamics.scene.key_paths import changed, resolve
-from closedloop_dynamics.scene.loading import load_scene, scene_names
 import numpy as np
 import pytest
 

@@ -5,13 +5,11 @@
 
 import csv
 
+from closedloop_dynamics import load_scene, Simulation, SimulationError
 from closedloop_dynamics.cli import main
 from closedloop_dynamics.engine.types import EVALUATIONS
-from closedloop_dynamics.mechanism.errors import SimulationError
 from closedloop_dynamics.recording.rows import read_rows
 from closedloop_dynamics.recording.run import columns, ErrorEstimate, Report, row, run
-from closedloop_dynamics.scene.loading import load_scene
-from closedloop_dynamics.simulation.simulation import Simulation
 import numpy as np
 import pytest
 

@@ -5,18 +5,15 @@
 
 import math
 
-from closedloop_dynamics import load_scene
+from closedloop_dynamics import Body, CutJoint, Joint, load_scene, Mechanism, Point
 from closedloop_dynamics.cli import main
 from closedloop_dynamics.cli.workspace import summary
 from closedloop_dynamics.kinematics.pose_grid import angles_of, orientation_of
 from closedloop_dynamics.kinematics.singular_curves import TYPE_1, TYPE_2
 from closedloop_dynamics.mechanism.kinematics import body_poses, pose_of, world_points
-from closedloop_dynamics.mechanism.mechanism import (
-    Body, CutJoint, Joint, Mechanism, Point)
 from closedloop_dynamics.recording import workspace
 from closedloop_dynamics.recording.workspace import (
-    AT_LIMIT, COLLIDES, compute, least_distance, links, REACHED, read, Request,
-    WorkspaceFileError)
+    AT_LIMIT, COLLIDES, compute, least_distance, links, REACHED, read, Request, WorkspaceFileError)
 import numpy as np
 import pytest
 

@@ -5,9 +5,8 @@
 
 from functools import partial
 
-from closedloop_dynamics.effects.gravity import Gravity
-from closedloop_dynamics.scene.records import Initial, Method, Scene
-from closedloop_dynamics.simulation.simulation import Simulation
+from closedloop_dynamics import Initial, Method, Scene, Simulation
+from closedloop_dynamics.effects.registry import Gravity
 import numpy as np
 
 from .spatial_machines import GRAVITY

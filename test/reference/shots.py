@@ -13,10 +13,8 @@ solid is integrated by RK4 with a hundredth of the contact's own time.
 from dataclasses import dataclass
 import math
 
-from closedloop_dynamics.effects.body_contact import BodyContact
-from closedloop_dynamics.effects.cable import Cable
-from closedloop_dynamics.effects.contact import Contact
-from closedloop_dynamics.mechanism.mechanism import Body, Joint, Mechanism, Point
+from closedloop_dynamics import Body, Joint, Mechanism, Point
+from closedloop_dynamics.effects.registry import BodyContact, Cable, Contact
 import numpy as np
 from scipy.interpolate import CubicSpline
 

@@ -9,8 +9,7 @@ from test.ros.bags import read_with_mcap, read_with_rosbags
 from closedloop_dynamics.recording import writer
 from closedloop_dynamics.ros.bag import BagError, BagWriter, MessageTypes, UnknownTypeError
 import pytest
-from rclpy.qos import DurabilityPolicy
-from rclpy.qos import QoSProfile
+from rclpy.qos import DurabilityPolicy, QoSProfile
 from rclpy.serialization import serialize_message
 from rosbags.interfaces import QosDurability
 from rosbags.rosbag2 import Reader

@@ -6,9 +6,8 @@
 from array import array
 import math
 
-from closedloop_dynamics.ros.commands import (
-    CommandError, NOT_ACTUATED, poses_of, TorqueCommand)
-from closedloop_dynamics.scene.loading import load_scene
+from closedloop_dynamics import load_scene
+from closedloop_dynamics.ros.commands import CommandError, NOT_ACTUATED, poses_of, TorqueCommand
 from geometry_msgs.msg import Transform
 import pytest
 from sensor_msgs.msg import MultiDOFJointState

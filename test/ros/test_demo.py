@@ -12,10 +12,9 @@ import sys
 import time
 import uuid
 
+from closedloop_dynamics import load_scene, scene_names, Simulation
 from closedloop_dynamics.control.references import Reference, Wave
 from closedloop_dynamics.ros.torque_source_parameters import TORQUE_SOURCE_PARAMETERS
-from closedloop_dynamics.scene.loading import load_scene, scene_names
-from closedloop_dynamics.simulation.simulation import Simulation
 from closedloop_dynamics.visual.trajectory import Trajectory
 import demo
 from demo_drive import Aim, aim_of, drive_for, shipped_drives

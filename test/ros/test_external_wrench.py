@@ -5,11 +5,10 @@
 
 from dataclasses import replace
 
-from closedloop_dynamics.effects.external_force import ExternalForce
+from closedloop_dynamics import load_scene, Simulation
+from closedloop_dynamics.effects.registry import ExternalForce
 from closedloop_dynamics.ros.external_wrench import TIMEOUT
 from closedloop_dynamics.ros.simulator_node import SimulatorNode
-from closedloop_dynamics.scene.loading import load_scene
-from closedloop_dynamics.simulation.simulation import Simulation
 from geometry_msgs.msg import WrenchStamped
 import numpy as np
 import pytest

@@ -5,12 +5,11 @@
 
 import math
 
+from closedloop_dynamics import Simulation
 from closedloop_dynamics.ros.auxiliary_publishers import LATCHED_QOS
 from closedloop_dynamics.ros.joint_states_node import JointStatesNode, pose_finding
 from closedloop_dynamics.ros.process import StartError
-from closedloop_dynamics.simulation.simulation import Simulation
-from diagnostic_msgs.msg import DiagnosticArray
-from diagnostic_msgs.msg import DiagnosticStatus
+from diagnostic_msgs.msg import DiagnosticArray, DiagnosticStatus
 from geometry_msgs.msg import WrenchStamped
 import numpy as np
 import pytest

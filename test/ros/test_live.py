@@ -5,8 +5,7 @@
 
 from types import SimpleNamespace
 
-from closedloop_dynamics import Simulation
-from closedloop_dynamics.mechanism.errors import SimulationError
+from closedloop_dynamics import Simulation, SimulationError
 from closedloop_dynamics.ros.live import LiveSimulation
 from closedloop_dynamics.simulation.guards import ENERGY_ERROR
 import numpy as np

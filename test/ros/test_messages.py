@@ -3,8 +3,8 @@
 
 """Tests of closedloop_dynamics.ros.messages: what goes over the wire."""
 
+from closedloop_dynamics import Joint
 from closedloop_dynamics.mechanism.coordinates import Coordinates
-from closedloop_dynamics.mechanism.mechanism import Joint
 from closedloop_dynamics.ros.messages import SerializedTemplate, Stamps, StatePublisher
 from closedloop_dynamics.ros.process import StartError
 from geometry_msgs.msg import WrenchStamped
@@ -13,8 +13,7 @@ import pytest
 from rclpy.node import Node
 from rclpy.serialization import deserialize_message
 from rosgraph_msgs.msg import Clock
-from sensor_msgs.msg import JointState
-from sensor_msgs.msg import MultiDOFJointState
+from sensor_msgs.msg import JointState, MultiDOFJointState
 
 
 class Recorder:

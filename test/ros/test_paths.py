@@ -3,6 +3,7 @@
 
 """Paths in space: points go where they should, and joints with them."""
 
+from closedloop_dynamics import load_scene, Simulation
 from closedloop_dynamics.control.controller import reference
 from closedloop_dynamics.control.references import (
     CircularPath, freedoms_of, PathError, PointToPointPath, solve)
@@ -10,8 +11,6 @@ from closedloop_dynamics.mechanism.kinematics import body_poses, named_point, po
 from closedloop_dynamics.ros.process import StartError
 from closedloop_dynamics.ros.torque_source_node import Orientations
 from closedloop_dynamics.ros.torque_source_parameters import TORQUE_SOURCE_PARAMETERS
-from closedloop_dynamics.scene.loading import load_scene
-from closedloop_dynamics.simulation.simulation import Simulation
 from geometry_msgs.msg import Transform, Twist
 import numpy as np
 import pytest

@@ -9,8 +9,7 @@ from closedloop_dynamics.ros.commands import SequenceGaps, subscribe
 from closedloop_dynamics.ros.executor import build_executor, VARIABLE
 import pytest
 from rclpy.node import Node
-from rclpy.qos import QoSProfile
-from rclpy.qos import ReliabilityPolicy
+from rclpy.qos import QoSProfile, ReliabilityPolicy
 from std_msgs.msg import Float64MultiArray
 
 PATIENCE = 240.0

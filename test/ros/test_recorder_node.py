@@ -11,11 +11,8 @@ from closedloop_dynamics.recording.writer import BagFiles
 from closedloop_dynamics.ros import bag
 from closedloop_dynamics.ros.process import StartError
 import pytest
-from rclpy.qos import DurabilityPolicy
-from rclpy.qos import QoSProfile
-from rclpy.qos import ReliabilityPolicy
-from std_msgs.msg import Float64MultiArray
-from std_msgs.msg import String
+from rclpy.qos import DurabilityPolicy, QoSProfile, ReliabilityPolicy
+from std_msgs.msg import Float64MultiArray, String
 
 
 def test_messages_are_recorded_as_they_were_sent(record, listener, tmp_path):

@@ -13,26 +13,19 @@ from test.simulation.test_space import machine, tilted_four_bar, TURN
 from xml.etree import ElementTree
 
 from builtin_interfaces.msg import Time
-from closedloop_dynamics.mechanism.mechanism import Body, Joint, Mechanism, Point
+from closedloop_dynamics import Body, Joint, load_scene, Mechanism, Point, Simulation
 from closedloop_dynamics.ros.auxiliary_publishers import LATCHED_QOS
 from closedloop_dynamics.ros.simulator_node import SimulatorNode
 from closedloop_dynamics.ros.torque_source_node import TorqueSourceNode
-from closedloop_dynamics.scene.loading import load_scene
 from closedloop_dynamics.scene.text import scene_text
-from closedloop_dynamics.simulation.simulation import Simulation
 from closedloop_dynamics.visual.appearance import marked_points
-from geometry_msgs.msg import Transform
-from geometry_msgs.msg import Twist
-from geometry_msgs.msg import WrenchStamped
+from geometry_msgs.msg import Transform, Twist, WrenchStamped
 import numpy as np
 import pytest
 from rclpy.parameter import Parameter
-from sensor_msgs.msg import JointState
-from sensor_msgs.msg import MultiDOFJointState
-from std_msgs.msg import Float64MultiArray
-from std_msgs.msg import String
-from std_srvs.srv import SetBool
-from std_srvs.srv import Trigger
+from sensor_msgs.msg import JointState, MultiDOFJointState
+from std_msgs.msg import Float64MultiArray, String
+from std_srvs.srv import SetBool, Trigger
 
 
 def file_of(made, directory):

@@ -14,8 +14,7 @@ from closedloop_dynamics.ros.torque_source_node import TorqueSourceNode
 import pytest
 from rclpy.parameter import Parameter
 from sensor_msgs.msg import JointState
-from trajectory_msgs.msg import JointTrajectory
-from trajectory_msgs.msg import JointTrajectoryPoint
+from trajectory_msgs.msg import JointTrajectory, JointTrajectoryPoint
 
 
 @pytest.fixture

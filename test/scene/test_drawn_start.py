@@ -5,12 +5,11 @@
 
 from math import acos, atan2, degrees, hypot
 
+from closedloop_dynamics import load_scene, scene_names, SceneError, Simulation
 from closedloop_dynamics.mechanism.kinematics import body_poses, named_paths, pose_of, world_points
 from closedloop_dynamics.mechanism.rotations import angles_of, of_quaternion
 from closedloop_dynamics.recording.kinematics import start_position
 from closedloop_dynamics.scene.drawn_start import drawn_position
-from closedloop_dynamics.scene.loading import load_scene, scene_names, SceneError
-from closedloop_dynamics.simulation.simulation import Simulation
 import numpy as np
 import pytest
 

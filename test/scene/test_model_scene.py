@@ -5,11 +5,9 @@
 
 import warnings
 
+from closedloop_dynamics import AssemblyError, load_scene, SceneError, Simulation
 from closedloop_dynamics.cli import main
-from closedloop_dynamics.mechanism.errors import AssemblyError
-from closedloop_dynamics.scene.loading import load_scene, SceneError
 from closedloop_dynamics.scene.model_scene import ModelWarning
-from closedloop_dynamics.simulation.simulation import Simulation
 import numpy as np
 import pytest
 

@@ -7,15 +7,13 @@ from dataclasses import replace
 from pathlib import Path
 import shutil
 
-from closedloop_dynamics.effects.gravity import Gravity
-from closedloop_dynamics.effects.registry import effect_type, EFFECTS
+from closedloop_dynamics import load_scene, Mechanism, MechanismError, scene_names, SceneError
+from closedloop_dynamics.effects.registry import effect_type, EFFECTS, Gravity
 from closedloop_dynamics.integration.registry import INTEGRATORS, STABILISATIONS
 from closedloop_dynamics.mechanism import config
 from closedloop_dynamics.mechanism.fields import among, FieldError
-from closedloop_dynamics.mechanism.mechanism import Mechanism, MechanismError
 from closedloop_dynamics.scene.loading import (
-    config_directory, Initial, load_scene, load_scene_or_mechanism, Method, Scene, scene_names,
-    SceneError)
+    config_directory, Initial, load_scene_or_mechanism, Method, Scene)
 import pytest
 
 from ..reference import faults

@@ -8,9 +8,8 @@ import math
 import re
 
 import closedloop_dynamics as cld
-from closedloop_dynamics import load_scene, Model, rollout, Sensitivity, Simulation
-from closedloop_dynamics.effects.actuator import Actuator
-from closedloop_dynamics.simulation.linearisation import Linearisation
+from closedloop_dynamics import Linearisation, load_scene, Model, rollout, Sensitivity, Simulation
+from closedloop_dynamics.effects.registry import Actuator
 import numpy as np
 import pytest
 

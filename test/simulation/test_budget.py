@@ -6,9 +6,8 @@
 from dataclasses import replace
 import math
 
-from closedloop_dynamics import load_scene, Model, rollout, Simulation, State
+from closedloop_dynamics import load_scene, Method, Model, rollout, Simulation, State
 from closedloop_dynamics.mechanism.fields import FieldError
-from closedloop_dynamics.scene.records import Method
 from closedloop_dynamics.simulation.budget import (
     allowed, Budget, COARSEST, FINEST, INTERVAL, MOST_DECADES, PERIOD)
 from closedloop_dynamics.sweep import sweep

@@ -7,14 +7,9 @@ from dataclasses import replace
 import itertools
 import warnings
 
-from closedloop_dynamics.effects.contact import Contact
-from closedloop_dynamics.effects.joint_friction import JointFriction
-from closedloop_dynamics.effects.joint_spring import JointSpring
+from closedloop_dynamics import load_scene, Method, NumericalError, Simulation
+from closedloop_dynamics.effects.registry import Contact, JointFriction, JointSpring
 from closedloop_dynamics.mechanism.config import shipped_names
-from closedloop_dynamics.mechanism.errors import NumericalError
-from closedloop_dynamics.scene.loading import load_scene
-from closedloop_dynamics.scene.records import Method
-from closedloop_dynamics.simulation.simulation import Simulation
 import numpy as np
 import pytest
 

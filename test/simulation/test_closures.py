@@ -6,18 +6,16 @@
 from dataclasses import replace
 from functools import partial
 
-from closedloop_dynamics.effects.gravity import Gravity
+from closedloop_dynamics import (
+    AssemblyError, Body, Coupling, CutJoint, Joint, Mechanism, MechanismError, Method, Point,
+    Simulation)
+from closedloop_dynamics.effects.registry import Gravity
 from closedloop_dynamics.mechanism.closure import closure
-from closedloop_dynamics.mechanism.errors import AssemblyError
 from closedloop_dynamics.mechanism.fields import FieldError
-from closedloop_dynamics.mechanism.mechanism import (
-    Body, Coupling, CutJoint, Joint, Mechanism, MechanismError, Point)
 from closedloop_dynamics.mechanism.validation import validate_mechanism
 from closedloop_dynamics.recording.run import columns, row
 from closedloop_dynamics.scene.key_paths import changed, numbers
-from closedloop_dynamics.scene.records import Method
 from closedloop_dynamics.scene.text import read_scene_text, scene_text
-from closedloop_dynamics.simulation.simulation import Simulation
 from closedloop_dynamics.studies.check import describe
 import numpy as np
 import pytest

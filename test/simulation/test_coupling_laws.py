@@ -5,13 +5,10 @@
 
 from itertools import product
 
-from closedloop_dynamics import Simulation
+from closedloop_dynamics import load_scene, read_mechanism, SceneError, Simulation, write_scene
 from closedloop_dynamics.codegen.routines import topology
 from closedloop_dynamics.formats.yaml_text import mechanism_text
 from closedloop_dynamics.mechanism.closure import closure, coupling_errors
-from closedloop_dynamics.mechanism.reader import read_mechanism
-from closedloop_dynamics.scene.loading import load_scene, SceneError
-from closedloop_dynamics.scene.text import write_scene
 import numpy as np
 import pytest
 from scipy.interpolate import CubicSpline

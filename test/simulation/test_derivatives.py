@@ -6,31 +6,18 @@
 from dataclasses import replace
 from unittest import mock
 
+from closedloop_dynamics import (
+    Differentiator, Linearisation, load_scene, Model, Scene, Sensitivity, Simulation,
+    SimulationError, SingularityError)
 from closedloop_dynamics.codegen.differentiation import differentiated, gradients
 from closedloop_dynamics.codegen.expression_graph import (
     arctangent, chosen, cosine, exponential, ExpressionGraph, LOAD, logarithm, Q, sine,
     square_root)
-from closedloop_dynamics.effects.bushing import Bushing
-from closedloop_dynamics.effects.end_stop import EndStop
-from closedloop_dynamics.effects.external_force import ExternalForce
-from closedloop_dynamics.effects.fluid_drag import FluidDrag
-from closedloop_dynamics.effects.force_table import ForceTable
-from closedloop_dynamics.effects.joint_damping import JointDamping
-from closedloop_dynamics.effects.joint_spring import JointSpring
-from closedloop_dynamics.effects.law import Law
-from closedloop_dynamics.effects.point_spring import PointSpring
-from closedloop_dynamics.effects.prescribed_force import PrescribedForce
-from closedloop_dynamics.effects.tendon import Tendon
+from closedloop_dynamics.effects.registry import (
+    Bushing, EndStop, ExternalForce, FluidDrag, ForceTable, JointDamping, JointSpring, Law,
+    PointSpring, PrescribedForce, Tendon)
 from closedloop_dynamics.integration import system
-from closedloop_dynamics.mechanism.errors import SimulationError, SingularityError
 from closedloop_dynamics.scene.key_paths import numbers
-from closedloop_dynamics.scene.loading import load_scene
-from closedloop_dynamics.scene.records import Scene
-from closedloop_dynamics.simulation.derivatives import Differentiator
-from closedloop_dynamics.simulation.linearisation import Linearisation
-from closedloop_dynamics.simulation.model import Model
-from closedloop_dynamics.simulation.sensitivity import Sensitivity
-from closedloop_dynamics.simulation.simulation import Simulation
 import numpy as np
 import pytest
 

@@ -8,17 +8,12 @@ from importlib import import_module
 from pathlib import Path
 import runpy
 
-from closedloop_dynamics import load_scene, Model, Simulation
-from closedloop_dynamics.effects.end_stop import EndStop
-from closedloop_dynamics.effects.joint_spring import JointSpring
-from closedloop_dynamics.effects.payload import Payload
-from closedloop_dynamics.effects.point_spring import PointSpring
-from closedloop_dynamics.effects.prescribed_force import PrescribedForce
-from closedloop_dynamics.effects.rotor import Rotor
+from closedloop_dynamics import load_scene, Model, Simulation, write_scene
+from closedloop_dynamics.effects.registry import (
+    EndStop, JointSpring, Payload, PointSpring, PrescribedForce, Rotor)
 from closedloop_dynamics.mechanism.kinematics import (
     body_poses, named_point, pose_of, poses_in_space)
 from closedloop_dynamics.mechanism.rotations import rotated
-from closedloop_dynamics.scene.text import write_scene
 import numpy as np
 import pytest
 

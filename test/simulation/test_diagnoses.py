@@ -5,9 +5,8 @@
 
 import re
 
-from closedloop_dynamics.effects.contact import Contact
-from closedloop_dynamics.effects.joint_spring import JointSpring
-from closedloop_dynamics.mechanism.errors import SimulationError
+from closedloop_dynamics import SimulationError
+from closedloop_dynamics.effects.registry import Contact, JointSpring
 import numpy as np
 import pytest
 

@@ -6,16 +6,13 @@
 from dataclasses import replace
 import math
 
-from closedloop_dynamics import Simulation
+from closedloop_dynamics import (
+    AssemblyError, Body, Coupling, CutJoint, Joint, load_scene, Mechanism, MechanismError,
+    read_mechanism, Simulation)
 from closedloop_dynamics.codegen import space
 from closedloop_dynamics.engine.types import CUT_COUPLING, CUT_DISTANCE, CUT_POINT_ON_LINE
-from closedloop_dynamics.mechanism.errors import AssemblyError
-from closedloop_dynamics.mechanism.mechanism import (
-    Body, Coupling, CutJoint, Joint, Mechanism, MechanismError)
-from closedloop_dynamics.mechanism.reader import read_mechanism
 from closedloop_dynamics.mechanism.validation import validate_mechanism
 from closedloop_dynamics.recording.run import columns, row
-from closedloop_dynamics.scene.loading import load_scene
 import numpy as np
 import pytest
 import yaml

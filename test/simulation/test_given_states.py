@@ -6,11 +6,10 @@
 from dataclasses import replace
 import gc
 
+from closedloop_dynamics import load_scene, Simulation
 from closedloop_dynamics.codegen.function_table import LEFT_OUT
-from closedloop_dynamics.effects.joint_friction import JointFriction
+from closedloop_dynamics.effects.registry import JointFriction
 from closedloop_dynamics.mechanism.config import shipped_names
-from closedloop_dynamics.scene.loading import load_scene
-from closedloop_dynamics.simulation.simulation import Simulation
 import numpy as np
 import pytest
 

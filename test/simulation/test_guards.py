@@ -5,12 +5,10 @@
 from contextlib import suppress
 import math
 
+from closedloop_dynamics import ClosureError, load_scene, NumericalError, Simulation
 from closedloop_dynamics.cli import main
-from closedloop_dynamics.effects.end_stop import EndStop
-from closedloop_dynamics.mechanism.errors import (
-    ClosureError, InaccuracyWarning, NumericalError, StiffnessError)
-from closedloop_dynamics.scene.loading import load_scene
-from closedloop_dynamics.simulation.simulation import Simulation
+from closedloop_dynamics.effects.registry import EndStop
+from closedloop_dynamics.mechanism.errors import InaccuracyWarning, StiffnessError
 import numpy as np
 import pytest
 

@@ -5,12 +5,8 @@
 
 from dataclasses import replace
 
-from closedloop_dynamics import Simulation
-from closedloop_dynamics.effects.joint_spring import JointSpring
-from closedloop_dynamics.effects.law import Law
-from closedloop_dynamics.mechanism.errors import SimulationError
-from closedloop_dynamics.scene.loading import load_scene
-from closedloop_dynamics.simulation.linearisation import Linearisation
+from closedloop_dynamics import Linearisation, load_scene, Simulation, SimulationError
+from closedloop_dynamics.effects.registry import JointSpring, Law
 import numpy as np
 import pytest
 

@@ -6,13 +6,11 @@
 from dataclasses import replace
 from pathlib import Path
 
+from closedloop_dynamics import load_scene, Simulation
 from closedloop_dynamics.codegen.function_table import OF_FORCES, WRENCHES
-from closedloop_dynamics.effects.point_spring import PointSpring
-from closedloop_dynamics.effects.rotor import Rotor
+from closedloop_dynamics.effects.registry import PointSpring, Rotor
 from closedloop_dynamics.kinematics.modeling import extent
 from closedloop_dynamics.mechanism.rotations import of_angles
-from closedloop_dynamics.scene.loading import load_scene
-from closedloop_dynamics.simulation.simulation import Simulation
 import numpy as np
 import pytest
 import yaml

@@ -5,17 +5,12 @@
 
 import math
 
+from closedloop_dynamics import (
+    Linearisation, load_scene, Model, Simulation, SimulationError, SingularityError)
 from closedloop_dynamics.cli import main
-from closedloop_dynamics.effects.joint_damping import JointDamping
-from closedloop_dynamics.effects.joint_spring import JointSpring
-from closedloop_dynamics.effects.point_spring import PointSpring
-from closedloop_dynamics.mechanism.errors import SimulationError, SingularityError
+from closedloop_dynamics.effects.registry import JointDamping, JointSpring, PointSpring
 from closedloop_dynamics.recording.modes import mode_motion
 from closedloop_dynamics.recording.rows import read_rows
-from closedloop_dynamics.scene.loading import load_scene
-from closedloop_dynamics.simulation.linearisation import Linearisation
-from closedloop_dynamics.simulation.model import Model
-from closedloop_dynamics.simulation.simulation import Simulation
 import numpy as np
 import pytest
 from scipy.linalg import logm

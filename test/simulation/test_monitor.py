@@ -8,9 +8,8 @@ from dataclasses import replace
 import math
 from types import SimpleNamespace
 
+from closedloop_dynamics import Method, Simulation
 from closedloop_dynamics.engine.types import RANK_REVEALING_COUNT
-from closedloop_dynamics.scene.records import Method
-from closedloop_dynamics.simulation.simulation import Simulation
 import numpy as np
 import pytest
 

@@ -6,14 +6,10 @@
 from dataclasses import fields, replace
 from itertools import product
 
-from closedloop_dynamics.effects.joint_friction import JointFriction
-from closedloop_dynamics.effects.payload import Payload
-from closedloop_dynamics.effects.rotor import Rotor
+from closedloop_dynamics import load_scene, Simulation, SimulationError
+from closedloop_dynamics.effects.registry import JointFriction, Payload, Rotor
 from closedloop_dynamics.kinematics import loop_model
-from closedloop_dynamics.mechanism.errors import SimulationError
 from closedloop_dynamics.mechanism.validation import validate_mechanism
-from closedloop_dynamics.scene.loading import load_scene
-from closedloop_dynamics.simulation.simulation import Simulation
 from families import ladder
 import numpy as np
 import pytest

@@ -5,9 +5,8 @@
 
 from functools import partial
 
-from closedloop_dynamics import AssemblyError, Model, rollout, Sensitivity, Simulation, State
-from closedloop_dynamics.simulation.derivatives import Differentiator
-from closedloop_dynamics.simulation.linearisation import Linearisation
+from closedloop_dynamics import (
+    AssemblyError, Differentiator, Linearisation, Model, rollout, Sensitivity, Simulation, State)
 from closedloop_dynamics.simulation.model import begins
 import numpy as np
 import pytest

@@ -6,28 +6,21 @@
 from dataclasses import replace
 from functools import partial
 
-from closedloop_dynamics import Model
-from closedloop_dynamics.effects.actuator import Actuator
-from closedloop_dynamics.effects.joint_damping import JointDamping
-from closedloop_dynamics.effects.joint_spring import JointSpring
-from closedloop_dynamics.effects.sensor import Sensor
+from closedloop_dynamics import (
+    Body, CutJoint, Initial, Joint, load_scene, Mechanism, Method, Model, Point, Simulation)
+from closedloop_dynamics.effects.registry import Actuator, JointDamping, JointSpring, Sensor
 from closedloop_dynamics.integration.registry import FIXED, INTEGRATORS
 from closedloop_dynamics.integration.system import parts_of_state
 from closedloop_dynamics.mechanism.fields import FieldError
-from closedloop_dynamics.mechanism.mechanism import Body, CutJoint, Joint, Mechanism, Point
 from closedloop_dynamics.recording.run import columns, Report, run
 from closedloop_dynamics.scene.key_paths import changed, numbers, resolve
-from closedloop_dynamics.scene.loading import load_scene
-from closedloop_dynamics.scene.records import Initial, Method
 from closedloop_dynamics.scene.text import read_scene_text, scene_text
-from closedloop_dynamics.simulation.simulation import Simulation
 from closedloop_dynamics.studies.check import describe
 from closedloop_dynamics.visual.trajectory import from_rows
 import numpy as np
 import pytest
 from scipy.integrate import quad, simpson
-from spinning_bodies import (
-    free_body, LEAN, LEVER, MOMENTS, nutation, SPIN)
+from spinning_bodies import free_body, LEAN, LEVER, MOMENTS, nutation, SPIN
 
 from ..reference import spatial_machines
 from ..reference.compare import assert_agree

@@ -5,8 +5,7 @@
 
 import closedloop_dynamics as cld
 from closedloop_dynamics.mechanism.kinematics import body_poses, motion_of, poses_in_space
-from closedloop_dynamics.mechanism.rotations import (
-    composed, CONJUGATE, rotated, rotation_vector)
+from closedloop_dynamics.mechanism.rotations import composed, CONJUGATE, rotated, rotation_vector
 import numpy as np
 import pytest
 

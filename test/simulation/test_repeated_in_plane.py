@@ -6,17 +6,12 @@
 from dataclasses import replace
 import math
 
-from closedloop_dynamics.effects.external_force import ExternalForce
-from closedloop_dynamics.effects.joint_friction import JointFriction
-from closedloop_dynamics.effects.prescribed_motion import PrescribedMotion
+from closedloop_dynamics import (
+    Body, Coupling, CutJoint, Joint, load_scene, Mechanism, Method, Point, Simulation)
+from closedloop_dynamics.effects.registry import ExternalForce, JointFriction, PrescribedMotion
 from closedloop_dynamics.engine.types import RANK_REVEALING_COUNT
 from closedloop_dynamics.kinematics.geometry import Geometry
-from closedloop_dynamics.mechanism.mechanism import (
-    Body, Coupling, CutJoint, DISTANCE, Joint, Mechanism, Point, POINT_ON_LINE, PRISMATIC,
-    REVOLUTE)
-from closedloop_dynamics.scene.loading import load_scene
-from closedloop_dynamics.scene.records import Method
-from closedloop_dynamics.simulation.simulation import Simulation
+from closedloop_dynamics.mechanism.mechanism import DISTANCE, POINT_ON_LINE, PRISMATIC, REVOLUTE
 from closedloop_dynamics.studies.check import describe
 import hard_machines as machines
 import numpy as np

@@ -8,16 +8,11 @@ from pathlib import Path
 import runpy
 
 import closedloop_dynamics as cld
-from closedloop_dynamics.effects.external_force import ExternalForce
-from closedloop_dynamics.effects.joint_damping import JointDamping
-from closedloop_dynamics.effects.joint_spring import JointSpring
-from closedloop_dynamics.effects.payload import Payload
-from closedloop_dynamics.effects.point_spring import PointSpring
-from closedloop_dynamics.effects.rotor import Rotor
-from closedloop_dynamics.mechanism.errors import (
-    ClosureError, NumericalError, SimulationError, SingularityError)
+from closedloop_dynamics import (
+    ClosureError, Differentiator, NumericalError, SimulationError, SingularityError)
+from closedloop_dynamics.effects.registry import (
+    ExternalForce, JointDamping, JointSpring, Payload, PointSpring, Rotor)
 from closedloop_dynamics.scene.key_paths import numbers
-from closedloop_dynamics.simulation.derivatives import Differentiator
 import numpy as np
 import pytest
 

@@ -6,22 +6,18 @@
 import ctypes
 from dataclasses import replace
 
+from closedloop_dynamics import (
+    Body, CutJoint, Joint, load_scene, Mechanism, Method, Point, Simulation)
 from closedloop_dynamics.codegen import function_table as calls
-from closedloop_dynamics.effects.gravity import Gravity
-from closedloop_dynamics.effects.joint_damping import JointDamping
-from closedloop_dynamics.effects.payload import Payload
+from closedloop_dynamics.effects.registry import Gravity, JointDamping, Payload
 from closedloop_dynamics.engine.types import RANK_REVEALING_COUNT
 from closedloop_dynamics.integration import system
 from closedloop_dynamics.integration.registry import PROJECTION
 from closedloop_dynamics.kinematics.loop_model import independent
 from closedloop_dynamics.mechanism.fields import FieldError
 from closedloop_dynamics.mechanism.kinematics import body_poses
-from closedloop_dynamics.mechanism.mechanism import Body, CutJoint, Joint, Mechanism, Point
 from closedloop_dynamics.recording.run import columns, Report, row, run
-from closedloop_dynamics.scene.loading import load_scene
-from closedloop_dynamics.scene.records import Method
 from closedloop_dynamics.scene.text import read_scene_text, scene_text
-from closedloop_dynamics.simulation.simulation import Simulation
 from closedloop_dynamics.studies.check import describe
 import numpy as np
 import pytest

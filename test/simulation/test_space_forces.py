@@ -5,19 +5,13 @@
 
 from dataclasses import replace
 
+from closedloop_dynamics import load_scene, Point, Simulation, SimulationError
 from closedloop_dynamics.codegen.equations import Equations
-from closedloop_dynamics.effects.external_force import ExternalForce
-from closedloop_dynamics.effects.joint_friction import JointFriction
-from closedloop_dynamics.effects.joint_spring import JointSpring
-from closedloop_dynamics.effects.point_spring import PointSpring
-from closedloop_dynamics.effects.rotor import Rotor
+from closedloop_dynamics.effects.registry import (
+    ExternalForce, JointFriction, JointSpring, PointSpring, Rotor)
 from closedloop_dynamics.integration import system
-from closedloop_dynamics.mechanism.errors import SimulationError
-from closedloop_dynamics.mechanism.mechanism import (
-    GROUND, JOINT_FREEDOMS, Point, PRISMATIC, REVOLUTE)
+from closedloop_dynamics.mechanism.mechanism import GROUND, JOINT_FREEDOMS, PRISMATIC, REVOLUTE
 from closedloop_dynamics.recording.run import columns, row
-from closedloop_dynamics.scene.loading import load_scene
-from closedloop_dynamics.simulation.simulation import Simulation
 import numpy as np
 import pytest
 

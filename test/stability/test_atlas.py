@@ -5,8 +5,7 @@
 
 import math
 
-from hard_cases import (
-    ACCURATE, Case, DEGRADED, judge, Outcome, REFUSED, UNSTABLE)
+from hard_cases import ACCURATE, Case, DEGRADED, judge, Outcome, REFUSED, UNSTABLE
 import hard_machines as machines
 import pytest
 import stability

@@ -6,20 +6,15 @@
 from dataclasses import replace
 import math
 
-from closedloop_dynamics.effects.actuator import Actuator
-from closedloop_dynamics.effects.joint_damping import JointDamping
-from closedloop_dynamics.effects.joint_spring import JointSpring
+from closedloop_dynamics import (
+    AssemblyError, Body, load_scene, MechanismError, Method, read_mechanism, Simulation)
+from closedloop_dynamics.effects.registry import Actuator, JointDamping, JointSpring
 from closedloop_dynamics.engine.types import CUT_ROW, ROW
 from closedloop_dynamics.integration.system import build_system
 from closedloop_dynamics.kinematics.modeling import build_model
-from closedloop_dynamics.mechanism.errors import AssemblyError, StiffnessError
-from closedloop_dynamics.mechanism.mechanism import Body, MechanismError
-from closedloop_dynamics.mechanism.reader import read_mechanism
+from closedloop_dynamics.mechanism.errors import StiffnessError
 from closedloop_dynamics.mechanism.validation import validate_mechanism
-from closedloop_dynamics.scene.loading import load_scene
-from closedloop_dynamics.scene.records import Method
 from closedloop_dynamics.simulation.guards import fastest_rate
-from closedloop_dynamics.simulation.simulation import Simulation
 import hard_machines as machines
 import numpy as np
 import pytest

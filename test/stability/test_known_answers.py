@@ -6,12 +6,9 @@
 from dataclasses import replace
 import math
 
-from closedloop_dynamics.effects.joint_spring import JointSpring
-from closedloop_dynamics.mechanism.errors import AssemblyError
-from closedloop_dynamics.mechanism.mechanism import Body, Mechanism
-from closedloop_dynamics.scene.loading import load_scene, scene_names
-from closedloop_dynamics.scene.records import Method
-from closedloop_dynamics.simulation.simulation import Simulation
+from closedloop_dynamics import (
+    AssemblyError, Body, load_scene, Mechanism, Method, scene_names, Simulation)
+from closedloop_dynamics.effects.registry import JointSpring
 import hard_cases
 import hard_machines as machines
 import numpy as np

@@ -13,9 +13,8 @@ others it is locked, strictly; next to where it is drawn the loops hardly open.
 from dataclasses import replace
 import math
 
-from closedloop_dynamics.mechanism.errors import AssemblyError, ClosureError
-from closedloop_dynamics.mechanism.mechanism import (
-    Body, CutJoint, GROUND, Joint, Mechanism, REVOLUTE)
+from closedloop_dynamics import AssemblyError, Body, ClosureError, CutJoint, Joint, Mechanism
+from closedloop_dynamics.mechanism.mechanism import GROUND, REVOLUTE
 import numpy as np
 import pytest
 

@@ -5,10 +5,8 @@
 
 from dataclasses import replace
 
-from closedloop_dynamics import load_scene, Simulation
+from closedloop_dynamics import load_scene, NumericalError, scene_names, Simulation
 from closedloop_dynamics.engine.types import RANK_REVEALING_COUNT
-from closedloop_dynamics.mechanism.errors import NumericalError
-from closedloop_dynamics.scene.loading import scene_names
 import pytest
 
 DURATION = 60.0

@@ -5,13 +5,9 @@ from dataclasses import replace
 import math
 import warnings
 
-from closedloop_dynamics.effects.external_force import ExternalForce
-from closedloop_dynamics.effects.joint_friction import JointFriction
-from closedloop_dynamics.mechanism.errors import ClosureError, NumericalError, SingularityError
-from closedloop_dynamics.mechanism.mechanism import Point
-from closedloop_dynamics.scene.loading import load_scene
-from closedloop_dynamics.scene.records import Method
-from closedloop_dynamics.simulation.simulation import Simulation
+from closedloop_dynamics import (
+    ClosureError, load_scene, Method, NumericalError, Point, Simulation, SingularityError)
+from closedloop_dynamics.effects.registry import ExternalForce, JointFriction
 from hard_cases import light_cart
 import hard_machines as machines
 import numpy as np

@@ -7,19 +7,16 @@ import csv
 from dataclasses import replace
 import math
 
+from closedloop_dynamics import Initial, load_scene, Method, Simulation, SimulationError
 from closedloop_dynamics.cli import main
 from closedloop_dynamics.integration.registry import INTEGRATORS, STABILISATIONS
 from closedloop_dynamics.kinematics.motions import moving
-from closedloop_dynamics.mechanism.errors import SimulationError
-from closedloop_dynamics.scene.loading import load_scene
-from closedloop_dynamics.scene.records import Initial, Method
-from closedloop_dynamics.simulation.simulation import Simulation
 from closedloop_dynamics.studies import accuracy, reference
 from closedloop_dynamics.studies.accuracy import (
     default_lines, Line, Row, Setting, settings, Study, study_accuracy)
 from closedloop_dynamics.studies.accuracy_report import table, title, work_precision
 from closedloop_dynamics.studies.advice import for_budget, for_target, yaml_lines
-from closedloop_dynamics.studies.reference import Difference, difference, record
+from closedloop_dynamics.studies.reference import difference, Difference, record
 from families import ladder
 import numpy as np
 import pytest

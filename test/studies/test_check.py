@@ -6,11 +6,9 @@
 from copy import deepcopy
 from dataclasses import replace
 
+from closedloop_dynamics import (
+    AssemblyError, Body, Joint, load_scene, Mechanism, scene_names, Simulation)
 from closedloop_dynamics.kinematics.motions import moving
-from closedloop_dynamics.mechanism.errors import AssemblyError
-from closedloop_dynamics.mechanism.mechanism import Body, Joint, Mechanism
-from closedloop_dynamics.scene.loading import load_scene, scene_names
-from closedloop_dynamics.simulation.simulation import Simulation
 from closedloop_dynamics.studies.check import describe
 import pytest
 

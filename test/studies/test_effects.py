@@ -5,12 +5,10 @@
 
 from dataclasses import replace
 
-from closedloop_dynamics import load_scene, Simulation
+from closedloop_dynamics import load_scene, Method, Simulation, SimulationError
 from closedloop_dynamics.cli import main
 from closedloop_dynamics.engine.types import EVALUATIONS
 from closedloop_dynamics.kinematics.motions import moving
-from closedloop_dynamics.mechanism.errors import SimulationError
-from closedloop_dynamics.scene.records import Method
 from closedloop_dynamics.studies import effects, effects_report
 from closedloop_dynamics.studies.effects import RateControl, Ratio
 import numpy as np

@@ -5,19 +5,16 @@
 
 from dataclasses import replace
 
-from closedloop_dynamics.effects.joint_damping import JointDamping
-from closedloop_dynamics.effects.joint_friction import JointFriction
-from closedloop_dynamics.effects.prescribed_force import PrescribedForce
-from closedloop_dynamics.effects.tendon_friction import TendonFriction
+from closedloop_dynamics import identify, load_scene, Simulation
+from closedloop_dynamics.effects.registry import (
+    JointDamping, JointFriction, PrescribedForce, TendonFriction)
 from closedloop_dynamics.kinematics.motions import moving
 from closedloop_dynamics.kinematics.passive_joint_solver import PassiveJointError
 from closedloop_dynamics.mechanism.fields import FieldError
 from closedloop_dynamics.scene.key_paths import changed, numbers, resolve
-from closedloop_dynamics.scene.loading import load_scene
-from closedloop_dynamics.simulation.simulation import Simulation
 from closedloop_dynamics.studies.excitation import excite
 from closedloop_dynamics.studies.identification import (
-    IdentificationError, Identifier, identify, measured_joints)
+    IdentificationError, Identifier, measured_joints)
 from closedloop_dynamics.studies.inertial_parameters import BodyParameters, pseudo_inertia
 import numpy as np
 import pytest

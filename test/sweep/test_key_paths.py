@@ -3,10 +3,9 @@
 
 """Key paths: every number of a scene can be reached, changed, and is named when it cannot."""
 
+from closedloop_dynamics import load_scene, MechanismError, scene_names
 from closedloop_dynamics.mechanism.fields import FieldError
-from closedloop_dynamics.mechanism.mechanism import MechanismError
 from closedloop_dynamics.scene.key_paths import changed, numbers, resolve
-from closedloop_dynamics.scene.loading import load_scene, scene_names
 import pytest
 
 from ..reference import cases

@@ -6,13 +6,11 @@
 from dataclasses import replace
 import inspect
 
-from closedloop_dynamics.mechanism.errors import SimulationError
-from closedloop_dynamics.mechanism.mechanism import Body, Joint, Mechanism, Point
-from closedloop_dynamics.scene.loading import load_scene
+from closedloop_dynamics import (
+    Body, Joint, load_scene, Mechanism, Point, Simulation, SimulationError)
 from closedloop_dynamics.simulation import rollout_run
 from closedloop_dynamics.simulation.rollout import rollout
 from closedloop_dynamics.simulation.rollout_run import fits_simd, is_plain, QUANTITIES, TimeGrid
-from closedloop_dynamics.simulation.simulation import Simulation
 import numpy as np
 import pytest
 

@@ -8,6 +8,7 @@ from functools import partial
 import math
 import tracemalloc
 
+from closedloop_dynamics import load_scene, Simulation
 from closedloop_dynamics.codegen import lanes
 from closedloop_dynamics.codegen.function_table import ENERGIES
 from closedloop_dynamics.codegen.lanes import LANES
@@ -15,9 +16,7 @@ from closedloop_dynamics.effects.registry import EFFECTS
 from closedloop_dynamics.engine import native
 from closedloop_dynamics.integration.batch import build_batch, find_energies, Lane
 from closedloop_dynamics.integration.control import DONE, SINGULAR
-from closedloop_dynamics.scene.loading import load_scene
 from closedloop_dynamics.simulation.rollout_run import QUANTITIES, SimdRuns, STATE
-from closedloop_dynamics.simulation.simulation import Simulation
 import numpy as np
 import pytest
 

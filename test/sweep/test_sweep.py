@@ -10,9 +10,8 @@ from test.sweep.files import assert_same, ENVIRONMENT, need, read
 from test.test_cli import call
 import time
 
+from closedloop_dynamics import load_scene, Simulation
 from closedloop_dynamics.mechanism.fields import FieldError
-from closedloop_dynamics.scene.loading import load_scene
-from closedloop_dynamics.simulation.simulation import Simulation
 from closedloop_dynamics.sweep import batch, sweep
 from closedloop_dynamics.sweep.storage import StorageError
 import numpy as np

@@ -6,10 +6,9 @@
 from test.view.browser import browser, PATIENCE, program
 import time
 
+from closedloop_dynamics import load_scene, Simulation
 from closedloop_dynamics.cli import main
 from closedloop_dynamics.mechanism.kinematics import body_poses, poses_in_space
-from closedloop_dynamics.scene.loading import load_scene
-from closedloop_dynamics.simulation.simulation import Simulation
 from closedloop_dynamics.view.columns import motion_columns
 from closedloop_dynamics.view.description import describe, grabs
 from closedloop_dynamics.view.page import recorded_page

@@ -7,12 +7,9 @@ from dataclasses import fields, replace
 import struct
 import sys
 
-from closedloop_dynamics.effects.body_contact import BodyContact
-from closedloop_dynamics.effects.contact import Contact
-from closedloop_dynamics.effects.external_force import ExternalForce
-from closedloop_dynamics.effects.registry import effect_type
-from closedloop_dynamics.mechanism.mechanism import Body, Joint, Mechanism, Point, Visual
-from closedloop_dynamics.scene.loading import load_scene
+from closedloop_dynamics import Body, Joint, load_scene, Mechanism, Point
+from closedloop_dynamics.effects.registry import BodyContact, Contact, effect_type, ExternalForce
+from closedloop_dynamics.mechanism.mechanism import Visual
 from closedloop_dynamics.view import meshes
 from closedloop_dynamics.view.columns import motion_columns, SimulationRows
 from closedloop_dynamics.view.description import describe

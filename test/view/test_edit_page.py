@@ -7,8 +7,7 @@ from contextlib import contextmanager
 from test.view.browser import browser, program
 import threading
 
-from closedloop_dynamics.scene.loading import load_scene
-from closedloop_dynamics.simulation.simulation import Simulation
+from closedloop_dynamics import load_scene, Simulation
 from closedloop_dynamics.view.library import Library
 from closedloop_dynamics.view.own_motion import own_motion
 from closedloop_dynamics.view.page import live_page

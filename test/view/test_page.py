@@ -8,13 +8,12 @@ import json
 import re
 from test.view.rows import places_of
 
+from closedloop_dynamics import load_scene, Simulation
 from closedloop_dynamics.cli import main
 from closedloop_dynamics.kinematics.modeling import extent
 from closedloop_dynamics.mechanism.config import shipped_path
 from closedloop_dynamics.mechanism.kinematics import body_poses, poses_in_space
 from closedloop_dynamics.recording.recording import read_recording
-from closedloop_dynamics.scene.loading import load_scene
-from closedloop_dynamics.simulation.simulation import Simulation
 from closedloop_dynamics.view.columns import motion_columns, motion_rows
 from closedloop_dynamics.view.page import live_page
 from closedloop_dynamics.view.saved import recorded

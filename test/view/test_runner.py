@@ -6,10 +6,9 @@
 import json
 from test.view.rows import places_of, rows_of
 
+from closedloop_dynamics import load_scene, Simulation
 from closedloop_dynamics.kinematics.modeling import extent
 from closedloop_dynamics.mechanism.kinematics import poses_in_space
-from closedloop_dynamics.scene.loading import load_scene
-from closedloop_dynamics.simulation.simulation import Simulation
 from closedloop_dynamics.view.own_motion import own_motion
 from closedloop_dynamics.view.runner import RATE, Runner
 from closedloop_dynamics.view.thinning import OF_RANGE, OF_SIZE

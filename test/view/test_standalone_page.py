@@ -10,11 +10,10 @@ import json
 import math
 from test.view.browser import browser, program
 
+from closedloop_dynamics import load_scene, scene_names, Simulation
 from closedloop_dynamics.cli import main
-from closedloop_dynamics.effects.prescribed_motion import PrescribedMotion
+from closedloop_dynamics.effects.registry import PrescribedMotion
 from closedloop_dynamics.scene.key_paths import changed
-from closedloop_dynamics.scene.loading import load_scene, scene_names
-from closedloop_dynamics.simulation.simulation import Simulation
 from closedloop_dynamics.simulation.traced_scene import refusals
 from closedloop_dynamics.view.messages import SPEED
 from closedloop_dynamics.view.own_motion import OwnMotion

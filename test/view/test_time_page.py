@@ -9,11 +9,10 @@ from test.view.test_browser import on_screen, pause, READY, stage
 from test.view.test_page import contents
 from xml.etree import ElementTree
 
+from closedloop_dynamics import load_scene, Simulation
 from closedloop_dynamics.cli import main
 from closedloop_dynamics.mechanism.kinematics import body_poses, poses_in_space
 from closedloop_dynamics.recording.recording import read_recording
-from closedloop_dynamics.scene.loading import load_scene
-from closedloop_dynamics.simulation.simulation import Simulation
 from closedloop_dynamics.view.columns import motion_columns, motion_rows
 from closedloop_dynamics.view.description import describe
 from closedloop_dynamics.view.page import live_page, recorded_page

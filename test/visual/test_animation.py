@@ -6,13 +6,12 @@
 import os
 import signal
 
+from closedloop_dynamics import Simulation
 from closedloop_dynamics.cli import main
 from closedloop_dynamics.recording.recording import since_the_last_reset
 from closedloop_dynamics.recording.run import columns, Report, run
 from closedloop_dynamics.simulation.signals import Interrupted
-from closedloop_dynamics.simulation.simulation import Simulation
-from closedloop_dynamics.visual import (
-    animation as animations, pictures, trajectory as motions)
+from closedloop_dynamics.visual import animation as animations, pictures, trajectory as motions
 from closedloop_dynamics.visual.appearance import body_colors, FORCE_COLOR, PATH_COLOR
 from closedloop_dynamics.visual.drawing import mixed
 from matplotlib.backends.backend_agg import FigureCanvasAgg

@@ -3,11 +3,10 @@
 
 """Pictures show the mechanism where it is, with units, and legends that cover nothing."""
 
+from closedloop_dynamics import read_mechanism, Simulation
 from closedloop_dynamics.mechanism import closure as closures, kinematics
-from closedloop_dynamics.mechanism.reader import read_mechanism
 from closedloop_dynamics.recording.run import columns, Report, run
 from closedloop_dynamics.scene.loading import config_directory
-from closedloop_dynamics.simulation.simulation import Simulation
 from closedloop_dynamics.visual import pictures, trajectory as motions
 from closedloop_dynamics.visual.appearance import outline, sliders
 from closedloop_dynamics.visual.drawing import MechanismArtist

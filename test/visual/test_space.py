@@ -5,10 +5,9 @@
 
 from dataclasses import replace
 
+from closedloop_dynamics import Point
 from closedloop_dynamics.mechanism import closure as closures, kinematics
-from closedloop_dynamics.mechanism.mechanism import Point
-from closedloop_dynamics.visual import (
-    animation as animations, pictures, trajectory as motions)
+from closedloop_dynamics.visual import animation as animations, pictures, trajectory as motions
 from closedloop_dynamics.visual.appearance import convex_hull, solid
 from closedloop_dynamics.visual.drawing import all_places, MechanismArtist
 from closedloop_dynamics.visual.views import FRONT, perspective, SIDE, TOP

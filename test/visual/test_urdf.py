@@ -13,6 +13,7 @@ from test.simulation.test_space import tilted_four_bar, TURN
 from test.visual.test_drawing import EVERYTHING
 from xml.etree import ElementTree
 
+from closedloop_dynamics import Body, Joint, load_scene, Mechanism, read_mechanism, Simulation
 from closedloop_dynamics.cli import main
 from closedloop_dynamics.effects.end_stop import stops_of
 from closedloop_dynamics.formats.in_space import in_space
@@ -20,11 +21,7 @@ from closedloop_dynamics.formats.registry import read_model
 from closedloop_dynamics.kinematics.geometry import Geometry
 from closedloop_dynamics.mechanism.config import shipped_names, shipped_path
 from closedloop_dynamics.mechanism.kinematics import body_poses
-from closedloop_dynamics.mechanism.mechanism import Body, Joint, Mechanism
-from closedloop_dynamics.mechanism.reader import read_mechanism
 from closedloop_dynamics.mechanism.validation import validate_mechanism
-from closedloop_dynamics.scene.loading import load_scene
-from closedloop_dynamics.simulation.simulation import Simulation
 from closedloop_dynamics.visual.srdf import srdf
 from closedloop_dynamics.visual.urdf import urdf
 import numpy as np
