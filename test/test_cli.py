@@ -33,6 +33,20 @@ def call(capsys, *arguments):
     return (code, *capsys.readouterr())
 
 
+def done(capsys, *arguments):
+    """Return the standard output of a call that ends well."""
+    code, text, errors = call(capsys, *arguments)
+    assert code == 0, errors
+    return text
+
+
+def refused(capsys, *arguments):
+    """Return the standard error of a call that is refused as the user's mistake."""
+    code, _, errors = call(capsys, *arguments)
+    assert code == 2, errors
+    return errors
+
+
 def read(path):
     """Return the columns of a CSV file by name, as numbers."""
     with open(path) as file:
@@ -42,14 +56,12 @@ def read(path):
 
 
 def test_help_teaches_every_command(capsys):
-    code, text, _ = call(capsys, '--help')
-    assert code == 0
+    text = done(capsys, '--help')
     for name, module in COMMANDS.items():
         command = import_module(f'closedloop_dynamics.cli.{module}').COMMAND
         words = ' '.join(text.split())
         assert command.name == name and f' {name} {command.summary} ' in words
-        code, own, _ = call(capsys, name, '--help')
-        assert code == 0
+        own = done(capsys, name, '--help')
         assert f' 0 done; 1 {command.failure}, or' in ' '.join(own.split())
         assert command.examples[0].split()[0] == name
         for example in command.examples:
@@ -89,8 +101,7 @@ def test_shells_complete_commands_scenes_and_files(tmp_path, line, expected):
 
 
 def test_check_prints_the_description(capsys):
-    code, text, _ = call(capsys, 'check', 'three_rrr')
-    assert code == 0
+    text = done(capsys, 'check', 'three_rrr')
     assert text.startswith('Scene three_rrr') and 'elimination order' in text
 
 
@@ -234,9 +245,8 @@ def test_warnings_are_reported_in_one_line(capsys, monkeypatch):
     (('--step-size', '0.5'), 'in steps of 0.01 s, from row to row, instead of 0.5 s ('),
     (('--step-size', '0.004'), 'in steps of at most 0.004 s (')])
 def test_simulate_tells_the_steps_that_were_made(capsys, options, reported):
-    code, text, _ = call(capsys, 'simulate', 'four_bar', '--duration', '0.02', '--integrator',
-                         'rk4', *options)
-    assert code == 0
+    text = done(
+        capsys, 'simulate', 'four_bar', '--duration', '0.02', '--integrator', 'rk4', *options)
     assert reported in text
 
 
@@ -245,8 +255,7 @@ def test_simulate_tells_the_steps_that_were_made(capsys, options, reported):
     ('four_bar', ('--integrator', 'semi_implicit_euler', '--stabilisation', 'none')),
     ('four_bar', ('--integrator', 'rk4', '--stabilisation', 'baumgarte'))])
 def test_method_options_replace_those_of_the_scene(capsys, scene, options):
-    code, text, _ = call(capsys, 'simulate', scene, '--duration', '0.01', *options)
-    assert code == 0
+    text = done(capsys, 'simulate', scene, '--duration', '0.01', *options)
     assert all(value in text for value in options[1::2])
 
 

@@ -27,6 +27,7 @@ import pytest
 
 from ..simulation.test_derivatives import (
     BALL, BALL_SCENE, IN_PLANE, IN_SPACE, PARALLELOGRAM, PARALLELOGRAM_SCENE, PRESS, PRESS_SCENE)
+from ..test_cli import done
 
 ROOT = Path(__file__).resolve().parents[2]
 compiled = pytest.mark.skipif(
@@ -238,12 +239,10 @@ def test_cost_counts_the_operations_of_the_source():
 
 
 def test_commands_tell_what_the_code_costs(tmp_path, capsys):
-    assert main(['check', 'four_bar', '--c']) == 0
-    checked = capsys.readouterr().out
+    checked = done(capsys, 'check', 'four_bar', '--c')
     costs = list(c_cost(Simulation.from_scene('four_bar')).lines())
     assert all(line in checked for line in costs)
-    assert main(['export', 'four_bar', '--output', str(tmp_path / 'four_bar.c')]) == 0
-    reported = capsys.readouterr().out
+    reported = done(capsys, 'export', 'four_bar', '--output', tmp_path / 'four_bar.c')
     assert all(line in reported for line in costs) and 'steps of 0.001 s: in 1 s' in reported
     assert 'single precision' not in reported
     assert main(['export', 'four_bar', '--output', str(tmp_path / 'a.fmu'), '--float32']) == 2

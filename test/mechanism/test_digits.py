@@ -9,6 +9,7 @@ The oracle is the same machine with all digits, and loops that stay closed on th
 """
 
 import re
+from test.test_cli import done
 
 from closedloop_dynamics import (
     AssemblyError, load_scene, MechanismError, read_mechanism, SceneError, Simulation)
@@ -339,8 +340,7 @@ FOUR_BAR = """\
 def test_check_and_simulate_decide_alike(tmp_path, capsys, first, second):
     path = tmp_path / 'bars.urdf'
     path.write_text(FOUR_BAR.replace('FIRST', first).replace('SECOND', second))
-    assert main(['check', str(path)]) == 0
-    shown = capsys.readouterr().out
+    shown = done(capsys, 'check', path)
     assert 'degrees of freedom    1 = ' in shown
     assert ('are taken as parallel: crank_joint, rocker_joint (on ground)' in shown) == (
         first != second)
@@ -358,8 +358,7 @@ def test_everyday_rounding_is_named(tmp_path, capsys):
     assert main(['simulate', str(path), '--duration', '0.01']) == 1
     assert said in capsys.readouterr().err
     for option in ('--tolerance', '--geometry-tolerance'):
-        assert main(['check', str(path), option, '1e-5']) == 0
-        shown = capsys.readouterr().out
+        shown = done(capsys, 'check', path, option, '1e-5')
         assert 'degrees of freedom    1 = 3 joints - 2' in shown
         assert 'axes that agree to 4e-06 are taken as parallel: crank_joint' in shown
     assert main(['simulate', str(path), '--geometry-tolerance', '1e-5', '--duration', '0.01']) == 0

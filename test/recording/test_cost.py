@@ -4,6 +4,7 @@
 """What a run is expected to cost, from a probe, and ``closedloop simulate --dry-run``."""
 
 import math
+from test.test_cli import done
 
 from closedloop_dynamics import Simulation
 from closedloop_dynamics.cli import main
@@ -89,9 +90,8 @@ def test_costs_in_words():
 
 def test_dry_run_tells_and_writes_nothing(capsys, tmp_path):
     output = tmp_path / 'run.csv'
-    assert main(['simulate', 'four_bar', '--duration', '0.2', '--dry-run',
-                 '--output', str(output)]) == 0
-    out = capsys.readouterr().out
+    out = done(
+        capsys, 'simulate', 'four_bar', '--duration', '0.2', '--dry-run', '--output', output)
     assert 's of CPU for 0.2 s at accuracy 1e-06' in out and 'at accuracy 1e-09' in out
     assert 'of real time' in out and not list(tmp_path.iterdir())
     assert main(['simulate', 'four_bar', '--integrator', 'rk4', '--step-size', '0.05',
@@ -149,8 +149,7 @@ def test_dry_run_tells_what_a_budget_allows(capsys):
 
 
 def test_simulate_by_budget_says_which_accuracy_it_was(capsys):
-    assert main(['simulate', 'four_bar', '--duration', '0.2', '--budget', '10']) == 0
-    out = capsys.readouterr().out
+    out = done(capsys, 'simulate', 'four_bar', '--duration', '0.2', '--budget', '10')
     assert 'with budget 10' in out and 'the best that it allows' in out
     assert 'by a second run with accuracy 3.33e-11' in out
     assert main(['simulate', 'four_bar', '--budget', '1', '--integrator', 'rk4']) == 2

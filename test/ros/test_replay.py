@@ -4,6 +4,7 @@
 """A bag recorded from the nodes is replayed, animated, and drawn."""
 
 from test.ros import test_space
+from test.test_cli import done
 
 from closedloop_dynamics.cli import main
 from closedloop_dynamics.recording.recording import read_recording
@@ -27,8 +28,7 @@ def test_a_recording_that_began_late_is_met_exactly(
     count = len(states)
     listener.wait(lambda: len(states) > count + 100, '1 s of motion')
     recorder.end()
-    assert main(['replay', str(tmp_path / 'bag')]) == 0
-    output = capsys.readouterr().out
+    output = done(capsys, 'replay', tmp_path / 'bag')
     assert 'the recording began later' in output
     assert 'largest deviation of a position: 0 rad or m' in output
 
@@ -55,8 +55,7 @@ def met_exactly(capsys, tmp_path):
     """Return a function that replays the bag, asserts that all is met, and returns its motion."""
     def replayed(name):
         bag, picture = tmp_path / 'bag', tmp_path / 'deviations.png'
-        assert main(['replay', str(bag), '--tolerance', '1e-12', '--picture', str(picture)]) == 0
-        output = capsys.readouterr().out
+        output = done(capsys, 'replay', bag, '--tolerance', '1e-12', '--picture', picture)
         assert f'states of {name}' in output
         assert 'largest deviation of a position: 0 rad or m' in output
         assert 'note:' not in output

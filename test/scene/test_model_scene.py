@@ -12,6 +12,7 @@ import numpy as np
 import pytest
 
 from ..formats import machines
+from ..test_cli import done
 
 SCENE = """\
 mechanism: ./own.yaml
@@ -112,8 +113,7 @@ def test_a_model_that_cannot_close_tells_the_loop(files):
 
 
 def test_check_tells_loops_and_freedoms(files, capsys):
-    assert main(['check', 'robot.urdf']) == 0
-    output = capsys.readouterr().out
+    output = done(capsys, 'check', 'robot.urdf')
     assert 'degrees of freedom    1 = 3 joints - 2 equations\n' in output
     assert '\nLoops: 1\n' in output
     assert '\n  left out, give them as effects of type actuator: limits of 1 drive(s)' in output

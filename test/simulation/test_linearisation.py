@@ -16,6 +16,7 @@ import pytest
 from scipy.linalg import logm
 
 from .test_derivatives import PARALLELOGRAM, PARALLELOGRAM_SCENE, simulation_of
+from ..test_cli import done
 
 ACCURATE = {'integrator': 'dop853', 'tolerance': 1e-12, 'step_size': 1e-3}
 
@@ -328,8 +329,7 @@ def test_python_control_takes_it(tmp_path):
 
 
 def test_the_command_prints_modes(capsys):
-    assert main(['modes', 'four_bar']) == 0
-    text = capsys.readouterr().out
+    text = done(capsys, 'modes', 'four_bar')
     assert 'equilibrium: not decided' in text and 'frequency [Hz]' in text
     assert main(['modes', 'four_bar', '--hold-start']) == 0
     assert 'crank_joint 0.289637' in capsys.readouterr().out

@@ -16,7 +16,7 @@ from closedloop_dynamics.studies.accuracy import (
     default_lines, Line, Row, Setting, settings, Study, study_accuracy)
 from closedloop_dynamics.studies.accuracy_report import table, title, work_precision
 from closedloop_dynamics.studies.advice import for_budget, for_target, yaml_lines
-from closedloop_dynamics.studies.reference import difference, Difference, record
+from closedloop_dynamics.studies.reference import Difference, difference, record
 from families import ladder
 import numpy as np
 import pytest

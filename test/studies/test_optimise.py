@@ -20,7 +20,7 @@ from closedloop_dynamics.studies.quantities import (
 import numpy as np
 import pytest
 
-from ..test_cli import call
+from ..test_cli import call, done, refused
 
 TURN = {'crank_joint': Drive(0.0, 2.0 * math.pi)}
 CRANK = 'mechanism.joints.coupler_joint.position.0'
@@ -331,12 +331,11 @@ def test_scene_without_places_for_numbers_is_written_whole(tmp_path):
 
 
 def test_command_writes_the_machine_that_it_found(tmp_path, capsys):
-    code, text, _ = call(
+    text = done(
         capsys, 'optimise', 'four_bar', '--vary', f'{CRANK}=80mm:120mm', '--vary',
         f'{TRACER}=0:0.2', '--minimise', 'straightness(coupler_point)', '--subject-to',
         'min(transmission_angle) >= 30deg', '--drive', 'crank_joint=0:360deg:13', '--starts', '1',
         '--workers', '1', '--output', tmp_path / 'out')
-    assert code == 0
     results = [json.loads(line) for line in (
         tmp_path / 'out' / 'results.jsonl').read_text().splitlines()]
     aim, = results[1][1]['aims']
@@ -355,9 +354,8 @@ def test_command_writes_the_machine_that_it_found(tmp_path, capsys):
     (('--minimise', 'max(force.cut_1)', '--resume'), '--resume'),
     (('--minimise', 'max(force.cut_1)', '--subject-to', 'no'), '--subject-to')])
 def test_command_refuses_what_makes_no_sense(capsys, options, message):
-    code, _, errors = call(capsys, 'optimise', 'four_bar', '--vary', f'{CRANK}=0.08:0.12',
-                           *options)
-    assert code == 2 and message in errors
+    assert message in refused(
+        capsys, 'optimise', 'four_bar', '--vary', f'{CRANK}=0.08:0.12', *options)
 
 
 def test_command_fails_where_no_machine_is_found(capsys):

@@ -10,7 +10,7 @@ from closedloop_dynamics import load_scene
 import numpy as np
 import pytest
 
-from ..test_cli import call, read
+from ..test_cli import call, done, read, refused
 
 SVG = '{http://www.w3.org/2000/svg}'
 TURN = ('kinematics', 'four_bar', '--drive', 'crank_joint=60:420deg:121')
@@ -19,8 +19,7 @@ TURN = ('kinematics', 'four_bar', '--drive', 'crank_joint=60:420deg:121')
 def drawn(capsys, tmp_path, suffix, *command):
     """Return the file of a drawing, and the columns of its motion."""
     rows, path = tmp_path / 'rows.csv', tmp_path / f'machine{suffix}'
-    code, text, errors = call(capsys, *command, '--output', rows, '--drawing', path)
-    assert code == 0, errors
+    text = done(capsys, *command, '--output', rows, '--drawing', path)
     assert str(path) in text
     return path, read(rows)
 
@@ -102,5 +101,4 @@ def test_plot_draws_a_recorded_run(capsys, tmp_path):
 def test_drawings_that_cannot_be_written_are_refused_first(
         capsys, tmp_path, monkeypatch, name, message):
     monkeypatch.setitem(sys.modules, 'ezdxf', None)
-    code, _, errors = call(capsys, *TURN, '--drawing', tmp_path / name)
-    assert code == 2 and message in errors
+    assert message in refused(capsys, *TURN, '--drawing', tmp_path / name)
