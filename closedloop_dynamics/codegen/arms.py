@@ -28,7 +28,7 @@ from .spatial import at_parent, shifted, Z
 from .vectors import (
     add, cross, dot, is_number, negate, scale, subtract, symmetric, times, transpose, ZERO)
 from ..engine.types import (
-    BODY_A, BODY_B, DOF, EVALUATIONS, NO_RESPONSES, PARENT, PATH_A, PATH_END, ROW, ROWS)
+    BODY_A, BODY_B, DOF, EVALUATIONS, NO_RESPONSES, PARENT, ROW, ROWS)
 
 # The squared sine between the directions of an arm, of three their squared volume: rounding grows
 # with one over it.
@@ -49,11 +49,17 @@ _MOST = 3
 # Keys of equations begin with this: of a cut joint one has its place in the elimination order
 # behind it, of a floating body the row of the tree and a component. Keys of unknowns are rows of
 # the tree, and pairs of one that floats and a component.
-_EQUATION = 'equation'
+# A motion that the equations of an arm leave to it has a key of its own, which begins with FREE.
+EQUATION, FREE = 'equation', 'free'
+
+
+def _free(rows):
+    """Return the key of the motion that equations leave to an arm."""
+    return (FREE, *rows[0][1:])
 
 
 def _rows(cut):
-    return [(_EQUATION, row) for row in range(*map(int, (cut[ROW], cut[ROW] + cut[ROWS])))]
+    return [(EQUATION, row) for row in range(*map(int, (cut[ROW], cut[ROW] + cut[ROWS])))]
 
 
 class Plan:
@@ -68,6 +74,11 @@ class Plan:
         Constant arrays.
     floats : bool
         Whether to look for floating bodies.
+    root : int
+        The row of the tree that carries all joints; 0 for the ground.
+    cuts, rows : sequence of int
+        Places of the cut joints and rows of the tree that are eliminated; all by default. Of
+        chosen ones three joints in two equations are an arm, too, that keeps one motion.
 
     Attributes
     ----------
@@ -83,8 +94,10 @@ class Plan:
 
     """
 
-    def __init__(self, recursion, model, floats=True):
-        self.parent, self.floating = model.tree[:, PARENT].tolist(), {}
+    def __init__(self, recursion, model, floats=True, root=0, cuts=None, rows=None):
+        self.parent, self.floating, self.root = model.tree[:, PARENT].tolist(), {}, root
+        cuts = range(len(model.cut)) if cuts is None else cuts
+        eliminated = set(range(1, len(self.parent)) if rows is None else rows)
         if floats:
             self.floating = self._find_floating(recursion, model)
         groups, columns, alone = [], {}, set()
@@ -94,22 +107,24 @@ class Plan:
             # Joints about the body's own origin turn it alone.
             for part, support in (components[:turning], joints), (
                     components[turning:], joints[turning:]):
-                rows = [(_EQUATION, body, n) for n in part]
+                rows = [(EQUATION, body, n) for n in part]
                 columns.update((row, set(support)) for row in rows)
                 alone.update(rows)
                 groups.append(rows)
-        for cut, one in zip(model.cut, recursion.cuts):
+        for cut, one in ((model.cut[a], recursion.cuts[a]) for a in cuts):
             rows, support = _rows(cut), set()
             for body in cut[[BODY_A, BODY_B]].tolist():
                 support.update(self.carriers(body))
             if one.coupling is not None:
-                support.update(model.path_body[cut[PATH_A]:cut[PATH_END]].tolist())
+                support.update(i for i, _ in one.coupling[1])
+                support.update(() if one.law is None else one.law[:1])
                 alone.update(rows if not one.between else ())
             columns.update((row, set(support)) for row in rows)
             groups.append(rows)
-        self._choose(list(filter(None, groups)), columns, alone)
+        self._choose(list(filter(None, groups)), columns, alone, rows is not None)
         joints = {joint for joints, _ in self.steps for joint in joints}
-        left = [i for i in range(len(self.parent) - 1, 0, -1) if i not in joints]
+        left = sorted(eliminated - joints, reverse=True)
+        left += [_free(of) for joints, of in self.steps if len(joints) > len(of)]
         self.unknowns = [left[n:n + _MOST] for n in range(0, len(left), _MOST)]
         for body, components in self.floating.items():
             moving = [(body, n) for n in reversed(components)]
@@ -131,7 +146,7 @@ class Plan:
     def carriers(self, body):
         """Return a row of the tree and those that carry it, up to a floating one."""
         found = []
-        while body > 0 and body not in self.floating:
+        while body > self.root and body not in self.floating:
             found.append(body)
             body = self.parent[body]
         return found
@@ -148,12 +163,12 @@ class Plan:
                 found[body] = components
         return found
 
-    def _choose(self, left, columns, alone):
+    def _choose(self, left, columns, alone, spare):
         """
         Choose the steps: again and again equations with joints that are in no others.
 
         ``left``: groups of equations; ``columns``: joints of each; ``alone``: those whose joints
-        have levers that never vanish.
+        have levers that never vanish; ``spare``: whether an arm may keep a motion.
         """
         def own(group):
             """Return the joints that a group of equations can eliminate."""
@@ -162,6 +177,8 @@ class Plan:
             joints = sorted({joint for row in group for joint in columns[row]} - others)[::-1]
             if len(group) == 1:
                 return joints[:1] if alone.issuperset(group) else []
+            if len(group) == 2 and spare and len(joints) > 2:
+                return joints[:3]
             if len(group) == 2:
                 # Of three or more only one is never across both equations in vain.
                 return joints if len(joints) <= 2 else joints[:1]
@@ -189,7 +206,7 @@ class Plan:
         self.complete = over.issuperset(self.rest)
 
 
-class _Equations:
+class Equations:
     """
     The symmetric system of accelerations x and negative multipliers m: M x + J^T m = f, J x = g.
 
@@ -247,7 +264,7 @@ class _Equations:
 
     def require_levers(self, joints, rows, turning):
         """Require that joints which turn have levers that are not short beside others'."""
-        if len(rows) == 1:
+        if len(rows) == 1 or len(joints) > len(rows):
             return
         beside = [self._square(key, rows) for key in sorted({
             key for row in rows for key in self.matrix[row] if key in turning})]
@@ -256,16 +273,23 @@ class _Equations:
             bool(self._square(joint, rows) >= SHORT_LEVER * longest)
 
     def eliminate_arm(self, joints, rows):
-        """Eliminate joints by equations, of which one may be left; return the squared sine."""
-        fewer = len(joints) < len(rows)
+        """
+        Eliminate joints by equations; return the squared sine.
+
+        Of an equation more than joints one is left; a joint more than equations leaves a motion
+        across these.
+        """
+        fewer, spare = len(joints) < len(rows), len(joints) > len(rows)
         columns = [[self.matrix[row].get(joint, 0.0) for row in rows] for joint in joints]
         squares = [self._square(joint, rows) for joint in joints]
         mass, coupled, force = self._take(joints)
         coupled = {key: column for key, column in coupled.items() if key not in rows}
         _, levers, given = self._take(rows)
-        inverse, volume = inverted(columns)
-        across, inverse = inverse[-1], inverse[:len(joints)]
-        if len(levers) > _MOST and not coupled and not fewer:
+        inverse, volume = inverted(transpose(columns) if spare else columns)
+        across, inverse = inverse[-1], inverse[:min(len(joints), len(rows))]
+        if spare:
+            inverse = transpose(inverse)
+        if len(levers) > _MOST and not coupled and len(joints) == len(rows):
             # Inertia and force at the tip, which other motions act on by few numbers.
             back = transpose(inverse)
             pulled = [times(mass, column) for column in back]
@@ -273,8 +297,10 @@ class _Equations:
                 levers, given, symmetric(lambda m, n: dot(back[m], pulled[n]), len(rows)), {},
                 times(back, force))
         else:
-            self._put_in({key: times(inverse, column) for key, column in levers.items()},
-                         times(inverse, given), mass, coupled, force)
+            moved = {key: times(inverse, column) for key, column in levers.items()}
+            if spare:
+                moved[_free(rows)] = negate(across)
+            self._put_in(moved, times(inverse, given), mass, coupled, force)
         if fewer:
             left, square = rows[-1], dot(across, across)
             for key, column in levers.items():
@@ -286,6 +312,8 @@ class _Equations:
             missing = [value - total(column[n] * x[key] for key, column in levers.items())
                        for n, value in enumerate(given)]
             found = times(inverse, missing)
+            if spare:
+                found = add(found, scale(across, x[_free(rows)]))
             loads = [value - dot(row, found) - total(
                 column[n] * x[key] for key, column in coupled.items())
                 for n, (row, value) in enumerate(zip(mass, force))]
@@ -296,6 +324,9 @@ class _Equations:
             x.update(zip(rows, multipliers))
 
         self._undo.append(undo)
+        if spare:
+            one, two, three = squares
+            return volume / (one * two + (one + two) * three)
         return (volume if fewer else volume * volume) / _product(squares)
 
     def _put_in(self, moved, start, mass, coupled, force):
@@ -319,9 +350,8 @@ class _Equations:
                 for other in reached:
                     self.add(one, other, 0.0 - dot(column, moved[other]))
 
-    def solution(self):
-        """Return all accelerations and negative multipliers by key."""
-        x = {}
+    def solution(self, x):
+        """Add all accelerations and negative multipliers by key to those that are known."""
         for undo in reversed(self._undo):
             undo(x)
         return x
@@ -370,13 +400,13 @@ def total(values):
 
 def _assemble(recursion, model, work, tau, baumgarte, plan):
     """Return the equations of motion and of closure; floating bodies are roots of their own."""
-    found = _Equations()
+    found = Equations()
     # In the plane the world's axes are those of all views.
     add_motion = _add_motion_in_views if space.is_spatial(model) else _add_motion
     add_motion(recursion, model, recursion.about_world(model, tau), plan, found)
     for body, components in plan.floating.items():
         for n in components:
-            row, unit = (_EQUATION, body, n), tuple(float(m == n) for m in range(6))
+            row, unit = (EQUATION, body, n), tuple(float(m == n) for m in range(6))
             found.add(row, (body, n), 1.0)
             own, wrench = recursion.transmit_wrench(body, negate(unit))
             found.add(row, body, own)
@@ -460,22 +490,10 @@ def solve(recursion, model, work, tau, baumgarte, qdd, lam):
     """Do what follows ``update``; the guard of the graph has what must hold."""
     plan = Plan.of(recursion, model)
     found = _assemble(recursion, model, work, tau, baumgarte, plan)
-    smallest = 1.0
-    turning = {i for i in range(1, len(plan.parent)) if recursion.bodies[i].turns}
-    for joints, rows in plan.steps:
-        found.require_levers(joints, rows, turning)
-        smallest = _smaller(smallest, found.eliminate_arm(joints, rows))
-    scales = {key: found.matrix[key][key] for keys in plan.unknowns for key in keys}
-    for keys in plan.unknowns:
-        # False for a NaN, too.
-        bool(found.eliminate(keys) > ROUNDING * _product([scales[key] for key in keys]))
-    bool(smallest >= SMALL_SINE)
-    for row in plan.rest:
-        diagonal = found.matrix[row][row]
-        smallest = _smaller(smallest, found.eliminate([row]) / diagonal)
-    bool(smallest >= elimination.SMALL_PIVOT)
+    smallest = eliminate(plan, found, {
+        i for i in range(1, len(plan.parent)) if recursion.bodies[i].turns})
     elimination.record_pivot(model, work, smallest)
-    x = found.solution()
+    x = found.solution({})
     for i in range(1, len(plan.parent)):
         qdd[model.tree[i, DOF]] = x[i]
     recursion.about_own(model, qdd)
@@ -485,6 +503,34 @@ def solve(recursion, model, work, tau, baumgarte, qdd, lam):
     to_user_order(model, work.right, lam)
 
 
+def eliminate(plan, found, turning):
+    """
+    Eliminate joints and equations of ``Equations`` as planned; return the smallest pivot or sine.
+
+    ``turning``: rows of the tree whose joints turn.
+    """
+    smallest, spare = 1.0, 1.0
+    for joints, rows in plan.steps:
+        found.require_levers(joints, rows, turning)
+        sine = found.eliminate_arm(joints, rows)
+        if len(joints) > len(rows):
+            # Small only where the loop itself is nearly singular.
+            spare = least(spare, sine)
+        else:
+            smallest = least(smallest, sine)
+    scales = {key: found.matrix[key][key] for keys in plan.unknowns for key in keys}
+    for keys in plan.unknowns:
+        # False for a NaN, too.
+        bool(found.eliminate(keys) > ROUNDING * _product([scales[key] for key in keys]))
+    bool(smallest >= SMALL_SINE)
+    for row in plan.rest:
+        diagonal = found.matrix[row][row]
+        smallest = least(smallest, found.eliminate([row]) / diagonal)
+    bool(smallest >= elimination.SMALL_PIVOT)
+    bool(spare >= elimination.POOR_PIVOT)
+    return least(smallest, spare)
+
+
 def _product(values):
     product = 1.0
     for value in values:
@@ -492,7 +538,7 @@ def _product(values):
     return product
 
 
-def _smaller(smallest, sine):
+def least(smallest, sine):
     """Return the smaller of two; what is not a number counts as zero."""
     if is_number(sine, 1.0):
         return smallest

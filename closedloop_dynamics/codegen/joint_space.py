@@ -17,7 +17,8 @@ from typing import NamedTuple
 from . import elimination, forward_dynamics
 from .spatial import at_parent, BodyKinematics, Recursion, rotation, turned_frame, X, Z
 from .vectors import (
-    add, cross, dot, IDENTITY, is_zero, product, scale, skew, symmetric, times, transpose, ZERO)
+    add, cross, dot, IDENTITY, in_blocks, is_zero, product, scale, skew, symmetric, times,
+    transpose, ZERO)
 from ..engine.types import (
     BODY_A, BODY_B, CARRIED, COORDINATE, DINV, DOF, EVALUATIONS, PARENT, PATH_A, PATH_END, RHS,
     ROW, ROWS)
@@ -43,7 +44,8 @@ class View(NamedTuple):
     def on_parent(self, one):
         """Return a ``_Rigid`` at the parent's origin, in its axes."""
         offset, moment, inertia = (
-            self.motion.offset, times(self.turn, one.moment), _turned(one.inertia, self.turn))
+            self.motion.offset, times(self.turn, one.moment),
+            turned_inertia(one.inertia, self.turn))
         after = add(moment, scale(offset, one.mass))
         squares = [offset[n] * (moment[n] + after[n]) for n in range(3)]
 
@@ -70,6 +72,11 @@ class _Rigid(NamedTuple):
         return _Rigid(self.mass + other.mass, add(self.moment, other.moment), tuple(
             map(add, self.inertia, other.inertia)), add(self.force, other.force))
 
+    def matrix(self):
+        """Return the inertia of six rows."""
+        return in_blocks(self.inertia, skew(self.moment), [
+            tuple(self.mass if m == n else 0.0 for m in range(3)) for n in range(3)])
+
     def wrench(self, axis):
         """Return moment and force of a unit acceleration."""
         turn, slide = axis[:3], axis[3:]
@@ -77,7 +84,7 @@ class _Rigid(NamedTuple):
                 + add(scale(slide, self.mass), cross(turn, self.moment)))
 
 
-def _turned(inertia, frame):
+def turned_inertia(inertia, frame):
     """Return an inertia in the axes that the frame is given in which it is."""
     if frame is IDENTITY:
         return inertia
@@ -208,7 +215,7 @@ class JointSpace(Recursion):
         carried, applied = [_Rigid() for _ in parents], list(self.force)
         for i in range(len(parents) - 1, 0, -1):
             p, view, rotor = parents[i], self.views[i], self.bodies[i].rotor
-            whole = carried[i].plus(self._rigid(i))
+            whole = carried[i].plus(self.rigid_in_view(i))
             armature = self.bodies[i].armature
             matrix[i, i] = 0.0 if armature is None else armature
             right[i] = tau[model.tree[i, DOF]] - dot(self.rotor[i], self.motion[p].spin_rate)
@@ -232,10 +239,10 @@ class JointSpace(Recursion):
                 matrix.update(((i, (p, n)), wrench[n]) for n in floating[p])
         return matrix, right
 
-    def _rigid(self, i):
+    def rigid_in_view(self, i):
         """Return the rigid body itself."""
         body, view = self.bodies[i], self.views[i]
-        moment, inertia = times(view.frame, body.moment), _turned(body.inertia, view.frame)
+        moment, inertia = times(view.frame, body.moment), turned_inertia(body.inertia, view.frame)
         force, motion = 2 * ZERO, view.motion
         if self.apart:
             force = add(cross(moment, motion.acceleration), add(
@@ -251,7 +258,7 @@ class JointSpace(Recursion):
         """Add the entries of a root of its own, in world axes."""
         force = add(self._in_world(i, whole.force), applied)
         axes = self.views[i].axes
-        coupling, about = skew(times(axes, whole.moment)), _turned(whole.inertia, axes)
+        coupling, about = skew(times(axes, whole.moment)), turned_inertia(whole.inertia, axes)
         for n in components:
             right[i, n] = 0.0 - force[n]
             row = about[n] + coupling[n] if n < 3 else 3 * (0.0,) + tuple(

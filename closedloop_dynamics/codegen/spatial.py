@@ -225,6 +225,10 @@ class Recursion:
         for i in range(1, len(self.bodies)):
             self._coordinates[i] = q[model.tree[i, COORDINATE]], qd[model.tree[i, DOF]]
 
+    def coordinate(self, i):
+        """Return coordinate and rate of a row of the tree."""
+        return self._coordinates[i]
+
     def outward(self, model, q, qd, work, written=None):
         """Outward kinematics, traced; ``written`` has another motion for a row and its own."""
         self.motion, self.inertia, self.force = [self.ground], [None], [None]
@@ -364,7 +368,7 @@ class Recursion:
         """Return the index of the world axis along which the joint axis lies, or None."""
         if self.bodies[i].armature is not None or not is_zero(self.rotor[i]):
             return None
-        return _aligned(self.motion[i].axis)
+        return aligned(self.motion[i].axis)
 
     def propagate_acceleration(self, i, before, qdd):
         """Return the acceleration of a body from that at its parent's origin and its joint's."""
@@ -631,7 +635,7 @@ def _turned_inertia(frame, inertia):
         (axis[m] * share[n] for axis, share in shares), sphere if m == n else 0.0))
 
 
-def _aligned(axis):
+def aligned(axis):
     """Return the index of the world axis that an axis is; None for another or a symbol."""
     for n in range(6):
         if is_number(axis[n], 1.0) and is_zero(axis[:n] + axis[n + 1:]):
@@ -646,7 +650,7 @@ def _beyond(wrench, axis, moment):
     The angles of parallel axes are counted from the first one's frame: no angle turns the bodies
     beyond the next one.
     """
-    alone = _aligned(axis)
+    alone = aligned(axis)
     if alone is None:
         return subtract(wrench, scale(axis, moment))
     return wrench[:alone] + (0.0,) + wrench[alone + 1:]

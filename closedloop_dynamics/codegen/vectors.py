@@ -75,6 +75,12 @@ def skew(a):
     return ((0.0, 0.0 - z, y), (z, 0.0, 0.0 - x), (0.0 - y, x, 0.0))
 
 
+def in_blocks(one, beside, other):
+    """Return a symmetric matrix of six rows of its blocks; ``beside``: the one at the right."""
+    return tuple(tuple(a) + tuple(b) for a, b in (
+        *zip(one, beside), *zip(transpose(beside), other)))
+
+
 def is_number(value, number):
     """Return whether a value is a given number whatever the inputs."""
     return isinstance(value, float) and value == number
