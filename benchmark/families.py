@@ -5,7 +5,8 @@
 
 import math
 
-from closedloop_dynamics.mechanism.mechanism import CutJoint, GROUND, Joint, Mechanism, REVOLUTE
+from closedloop_dynamics.mechanism.mechanism import (
+    Body, Coupling, CutJoint, FREE, GROUND, Joint, Mechanism, REVOLUTE)
 from hard_machines import bar
 
 
@@ -80,3 +81,61 @@ def star(loops, arms=8, angle=0.5):
             before = crank
     mechanism = Mechanism(f'star_{arms}_{loops}', tuple(bodies), tuple(joints), tuple(cuts))
     return mechanism, tuple(position)
+
+
+# Of bodies in space: their axis, mass [kg], centre [m] and moments of inertia [kg m^2].
+_UPRIGHT, _LINK = (0.0, 0.0, 1.0), (3.0, (0.2, 0.05, 0.0), (0.01, 0.03, 0.04))
+
+
+def tower(loops, branches=1, angles=(0.8,)):
+    """
+    Build so many towers of N four-bars in space, each on the crank of the last, on a free body.
+
+    Parallelograms of cranks of 0.5 m and couplers of 1 m: one joint of three is independent.
+    ``angles`` of the cranks [rad], from the free body on, over and over again. Returns the
+    mechanism, of 6 + 3 N joints a branch and 2 N equations, and coordinates that close the loops.
+    """
+    bodies, cuts = [Body('base', 5.0, (0.0, 0.0, 0.0), (0.1, 0.2, 0.3))], []
+    joints, position = [Joint('float', FREE, GROUND, 'base', (0.0, 0.0, 0.0))], [
+        0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 1.0]
+    for branch in range(branches):
+        carrier = 'base'
+        for k in range(loops):
+            crank, other, coupler = (
+                f'{name}_{branch}_{k}' for name in ('crank', 'other', 'coupler'))
+            bodies += [Body(name, *_LINK) for name in (crank, other, coupler)]
+            joints += [Joint(name, REVOLUTE, parent, name, (x, 0.0, 0.0), axis=_UPRIGHT,
+                             actuated=name == other)
+                       for name, parent, x in ((crank, carrier, 1.0), (other, carrier, 0.0),
+                                               (coupler, other, 0.5))]
+            cuts.append(CutJoint(
+                f'cut_{branch}_{k}', REVOLUTE, crank, coupler, (0.5, 0.0, 0.0), (1.0, 0.0, 0.0),
+                axis_a=_UPRIGHT, axis_b=_UPRIGHT))
+            angle, carrier = angles[(branch * loops + k) % len(angles)], crank
+            position += [angle, angle, -angle]
+    return Mechanism(f'tower_{branches}_{loops}', tuple(bodies), tuple(joints), tuple(cuts)), (
+        tuple(position))
+
+
+def geared_arm(links, ratio=6.0):
+    """
+    Build N links in a row in space on a free body, each with a geared rotor on the one before.
+
+    Axes across one another. Returns the mechanism, of 6 + 2 N joints and N equations, and
+    coordinates.
+    """
+    bodies, joints, gears = [Body('base', 5.0, (0.0, 0.0, 0.0), (0.1, 0.2, 0.3))], [
+        Joint('float', FREE, GROUND, 'base', (0.0, 0.0, 0.0))], []
+    carrier = 'base'
+    for k in range(links):
+        link, rotor, axis = f'link_{k}', f'rotor_{k}', _UPRIGHT if k % 2 else (0.0, 1.0, 0.0)
+        bodies += [Body(link, *_LINK), Body(rotor, 0.1, (0.0, 0.0, 0.0), (1e-4, 1e-4, 1e-4))]
+        joints += [Joint(name, REVOLUTE, carrier, name, (0.5, 0.0, 0.0), axis=axis,
+                         actuated=name == rotor) for name in (link, rotor)]
+        gears.append(Coupling(f'gear_{k}', {link: ratio, rotor: -1.0}))
+        carrier = link
+    position = [0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 1.0]
+    for k in range(links):
+        position += [0.3 * k, ratio * 0.3 * k]
+    return Mechanism(f'geared_arm_{links}', tuple(bodies), tuple(joints),
+                     couplings=tuple(gears)), tuple(position)

@@ -9,8 +9,8 @@ import math
 import numpy as np
 
 from . import (
-    arms, cache, elimination, embedding, forward_dynamics, joint_forces, joint_space, plane,
-    refinement, space)
+    arms, cache, clusters, elimination, embedding, forward_dynamics, joint_forces, joint_space,
+    plane, refinement, space)
 from .expression_graph import (
     ADD, ARCTANGENT, CALL, DIVIDE, EXPONENTIAL, ExpressionGraph, graph_of, LOAD, LOGARITHM,
     MULTIPLY, NEGATE, POWER, Q, QD, Routine, SQUARE_ROOT, SUBTRACT, TooManyOperations)
@@ -56,10 +56,12 @@ RECORDED = 2
 # Place of the mechanism's size behind Baumgarte's rate among the settings of a system.
 _SIZE = 4
 _addresses, sizes = {}, {}
-# Operations by methods for mechanisms without arms, of which the shorter one is taken, and rows of
-# the tree up to which both are traced; methods that work on the equations of motion.
+# Operations by methods for mechanisms without arms, of which the shortest is taken, and rows of
+# the tree up to which all are traced; methods that work on the equations of motion.
 _by_joints, BY_JOINTS, MOST_ROWS = {}, (forward_dynamics, joint_space), 20
-IN_JOINTS = arms, joint_space
+IN_JOINTS = arms, clusters, joint_space
+# Methods that may step aside.
+BY_ARMS = arms, clusters
 
 
 def addresses(model, which, form=PACKED, joints=None):
@@ -100,7 +102,9 @@ def with_torque_response(model, form=PACKED):
     if key not in _addresses:
         trace = MechanismTrace(model)
         found = _addresses[key] = {}
-        if not trace.with_arms:
+        if trace.method() is not arms:
+            if trace.by_arms:
+                trace = trace.without_arms()
             find = machine_code(key, trace.with_torque_response, form, 2)
             count = np.zeros(1)
             native.call(np.array([find('count')]), 0, count, count)
@@ -148,19 +152,21 @@ def count_operations(routine):
     return sum(routine.graph.operations[place][0] in kinds for place in routine.needed())
 
 
-def shorter(model):
+def shorter(model, ways=BY_JOINTS):
     """
-    Return the one of ``BY_JOINTS`` by which an evaluation takes fewer operations.
+    Return the one of several modules by which an evaluation takes the fewest operations.
 
-    In the plane the operations are as many; there articulated bodies leave exact zeros.
+    The first one of large mechanisms, where tracing takes long, and in the plane: the operations
+    are as many, and articulated bodies leave exact zeros.
     """
-    if len(model.tree) > MOST_ROWS or not space.is_spatial(model):
-        return forward_dynamics
-    key = topology(model)
-    if key not in _by_joints:
-        _by_joints[key] = {by: count_operations(MechanismTrace(
-            model, with_arms=False, by=by).traced(EVALUATION)) for by in BY_JOINTS}
-    return min(BY_JOINTS, key=_by_joints[key].get)
+    if len(ways) == 1 or len(model.tree) > MOST_ROWS or not space.is_spatial(model):
+        return ways[0]
+    counts = _by_joints.setdefault(topology(model), {})
+    for by in ways:
+        if by not in counts:
+            counts[by] = count_operations(MechanismTrace(
+                model, with_arms=by in BY_ARMS, by=by).traced(EVALUATION))
+    return min(ways, key=counts.get)
 
 
 class MechanismTrace:
@@ -168,9 +174,9 @@ class MechanismTrace:
     One mechanism with symbols in the place of all numbers that may change.
 
     ``joints``: of which ``least_forces`` are found, and what is ``left_out``; ``with_arms``:
-    whether accelerations are found by ``arms`` where there are any; ``most``: operations that may
-    be recorded; ``by``: the module that finds accelerations where no arms and ``embedding`` do,
-    by default that of fewer operations.
+    whether accelerations are found by ``arms`` or ``clusters`` where there are any; ``most``:
+    operations that may be recorded; ``by``: the module that finds accelerations, by default that
+    of the fewest operations.
     """
 
     def __init__(self, model, joints=None, with_arms=True, most=math.inf, by=None):
@@ -194,6 +200,7 @@ class MechanismTrace:
             bodies, cuts, (*self.model.gravity, *(3 - len(model.gravity)) * (0.0,)),
             space.hinges(model, bodies, cuts) if self.arrays is space else ())
         self.with_arms = with_arms and arms.Plan.of(self.recursion, model) is not None
+        self.clusters = clusters.clusters(self.recursion, model) if with_arms else None
         self.by = by
 
     def cut_points(self):
@@ -328,13 +335,12 @@ class MechanismTrace:
 
     def method(self):
         """Return the module whose ``accelerate`` is the cheapest."""
-        if self.with_arms:
-            self.by_arms = True
-            return arms
-        if self.embeds():
-            return embedding
         if self.by is None:
-            self.by = shorter(self.constant)
+            more = () if self.clusters is None else (clusters,)
+            self.by = shorter(self.constant, (arms, *more) if self.with_arms else (
+                *more, *((embedding,) if self.embeds() else BY_JOINTS)))
+        self.by_arms = self.by is arms or self.by is clusters and clusters.step_aside(
+            self.clusters)
         return self.by
 
     def embeds(self):
