@@ -105,6 +105,11 @@ def test_rows_of_another_machine_are_refused(rows, tmp_path, beside):
     for name in ('three_rrr', 'slider_crank'):
         with pytest.raises(RecordingError, match='differs' if beside else 'expected the columns'):
             read_rows(copy, load_scene(name))
+    point, = scene.mechanism.points
+    for points, key in (((), point.name), ((point, replace(point, name='more')), 'more')):
+        with pytest.raises(RecordingError, match=f'mechanism.points.{key} differs' if beside
+                           else r'point\.'):
+            read_rows(copy, replace(scene, mechanism=replace(scene.mechanism, points=points)))
     # The same machine may be named.
     motion, _ = read_rows(copy, scene)
     assert len(motion.time) == 6
