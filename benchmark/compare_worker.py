@@ -16,7 +16,7 @@ import time
 
 from closedloop_dynamics import Simulation
 from closedloop_dynamics.engine import native
-from closedloop_dynamics.integration.system import number_of_states
+from closedloop_dynamics.simulation.system import number_of_states
 import numpy as np
 
 # A measurement takes at least so long [s]: the first calls after a wait for the other commit find
@@ -64,8 +64,8 @@ def steps(scene, **method):
 def large_ladder():
     """Return one evaluation of a ladder of 201 joints."""
     # Where it is used: what a commit does not know is then left out, with its task alone.
-    from closedloop_dynamics.integration.system import build_system
     from closedloop_dynamics.kinematics.modeling import build_model
+    from closedloop_dynamics.simulation.system import build_system
     from families import ladder
     mechanism, position = ladder(100)
     system = build_system(build_model(mechanism))

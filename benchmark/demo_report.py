@@ -4,7 +4,7 @@
 
 from dataclasses import dataclass, replace
 
-from closedloop_dynamics.mechanism.closure import closure
+from closedloop_dynamics.kinematics.geometry import Geometry
 from closedloop_dynamics.mechanism.kinematics import body_poses, named_point
 from closedloop_dynamics.recording.reading import Bag
 from closedloop_dynamics.recording.recording import read_recording
@@ -111,7 +111,8 @@ def summary(run):
 
 
 def _closure(motion):
-    return closure(motion.mechanism, motion.position).max()
+    equations = Geometry(motion.mechanism).equations
+    return max(equations.move(q).closure_error() for q in motion.position)
 
 
 def compared(motion, aim):

@@ -14,9 +14,9 @@ from functools import partial
 import math
 import time
 
-from closedloop_dynamics.integration.system import number_of_states
 from closedloop_dynamics.scene.records import Method
 from closedloop_dynamics.simulation.simulation import Simulation
+from closedloop_dynamics.simulation.system import number_of_states
 import hard_machines as machines
 from machine import in_turn, least, parser_of
 import numpy as np
@@ -40,7 +40,7 @@ def evaluate_again(system, q, qd, count):
 
     Parameters
     ----------
-    system : integration.system.System
+    system : simulation.system.System
         Model and workspace of the mechanism.
     q, qd : ndarray, shapes (nq,) and (nv,)
         Coordinates and rates.

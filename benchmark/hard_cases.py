@@ -20,7 +20,7 @@ from closedloop_dynamics.effects.external_force import ExternalForce
 from closedloop_dynamics.effects.joint_friction import JointFriction
 from closedloop_dynamics.effects.joint_spring import JointSpring
 from closedloop_dynamics.effects.point_spring import PointSpring
-from closedloop_dynamics.integration.control import SHARE
+from closedloop_dynamics.engine.status import SHARE
 from closedloop_dynamics.mechanism.errors import SimulationError, StiffnessError
 from closedloop_dynamics.mechanism.mechanism import (
     Body, CutJoint, Joint, Mechanism, Point, PRISMATIC, REVOLUTE)
@@ -378,7 +378,7 @@ def step_size_changed(method, quick, sizes):
     simulation, worst = Simulation(scene(*ladder(2), replace(method, tolerance=1e-8))), 0.0
     error = energy_error(simulation, ladder_energy(2))
     for size in sizes * (1 if quick else 4):
-        simulation.stepping.set_step_size(size)
+        simulation.stepping.prepare_method(step_size=size)()
         worst = max(worst, worst_of(simulation, 1, 0.5, error))
     return worst
 

@@ -8,12 +8,12 @@ import math
 
 from closedloop_dynamics.effects.gravity import Gravity
 from closedloop_dynamics.effects.registry import EFFECTS
+from closedloop_dynamics.engine.status import SHARE
 from closedloop_dynamics.formats.in_space import in_space as lifted
-from closedloop_dynamics.integration.control import SHARE
-from closedloop_dynamics.integration.registry import FIXED as FIXED_STEP, INTEGRATORS
 from closedloop_dynamics.mechanism.mechanism import (
     Body, CutJoint, FIXED, GROUND, Joint, Mechanism, REVOLUTE)
 from closedloop_dynamics.mechanism.rotations import composed, of_quaternion
+from closedloop_dynamics.scene.integrators import FIXED as FIXED_STEP, INTEGRATORS
 from closedloop_dynamics.scene.loading import load_scene
 from closedloop_dynamics.scene.records import Initial, Scene
 from closedloop_dynamics.simulation.simulation import Simulation

@@ -17,8 +17,8 @@ import time
 import warnings
 
 from closedloop_dynamics.engine.types import EVALUATIONS
-from closedloop_dynamics.integration.registry import ADAPTIVE, INTEGRATORS
 from closedloop_dynamics.mechanism.errors import InaccuracyWarning, SimulationError
+from closedloop_dynamics.scene.integrators import ADAPTIVE, INTEGRATORS
 from closedloop_dynamics.scene.records import AUTO
 from closedloop_dynamics.simulation.simulation import Simulation
 from closedloop_dynamics.visual.tables import write_csv

@@ -17,10 +17,10 @@ import sys
 import time
 
 from closedloop_dynamics.engine.types import RANK
-from closedloop_dynamics.integration.system import build_system
 from closedloop_dynamics.kinematics.modeling import build_model
 from closedloop_dynamics.mechanism.decomposition import decompose
 from closedloop_dynamics.mechanism.validation import validate_mechanism
+from closedloop_dynamics.simulation.system import build_system
 from closedloop_dynamics.visual.tables import markdown_table, seconds, text_table
 from evaluations import evaluate_again
 from families import chain, ladder, star

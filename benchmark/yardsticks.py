@@ -6,8 +6,8 @@
 from dataclasses import dataclass, replace
 import math
 
-from closedloop_dynamics.integration.registry import STABILISATIONS
 from closedloop_dynamics.mechanism.errors import NumericalError, SimulationError
+from closedloop_dynamics.scene.integrators import STABILISATIONS
 from closedloop_dynamics.simulation.simulation import Simulation
 from closedloop_dynamics.studies.accuracy import Line
 import numpy as np

@@ -23,7 +23,7 @@ _HOMES = {
     'ClosureError': 'mechanism.errors', 'Coupling': 'mechanism.mechanism',
     'CouplingLaw': 'mechanism.mechanism', 'CutJoint': 'mechanism.mechanism',
     'Evaluation': 'simulation.evaluation',
-    'Evaluator': 'integration.evaluation', 'feedforward': 'simulation.reduced',
+    'Evaluator': 'simulation.evaluator', 'feedforward': 'simulation.reduced',
     'Initial': 'scene.records', 'Joint': 'mechanism.mechanism',
     'load_scene': 'scene.loading', 'Mechanism': 'mechanism.mechanism',
     'MechanismError': 'mechanism.mechanism', 'Method': 'scene.records',

@@ -4,7 +4,6 @@
 # What __init__.py loads when it is first asked for.
 from typing import Any
 
-from .integration.evaluation import Evaluator as Evaluator
 from .kinematics.state import State as State
 from .mechanism.errors import (
     AssemblyError as AssemblyError, ClosureError as ClosureError, NumericalError as NumericalError,
@@ -18,6 +17,7 @@ from .scene.loading import (
 from .scene.records import Initial as Initial, Method as Method, Scene as Scene
 from .scene.text import write_scene as write_scene
 from .simulation.evaluation import Evaluation as Evaluation
+from .simulation.evaluator import Evaluator as Evaluator
 from .simulation.model import Model as Model
 from .simulation.model_rollout import rollout as rollout
 from .simulation.reduced import feedforward as feedforward, Reduced as Reduced

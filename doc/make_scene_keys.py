@@ -14,13 +14,13 @@ import re
 
 from closedloop_dynamics.effects.external_force import BODY, WORLD
 from closedloop_dynamics.effects.registry import EFFECTS
-from closedloop_dynamics.integration.registry import INTEGRATORS, STABILISATIONS
 from closedloop_dynamics.mechanism.expressions import FUNCTIONS, UNITS
 from closedloop_dynamics.mechanism.fields import keys_of
 from closedloop_dynamics.mechanism.meanings import documented
 from closedloop_dynamics.mechanism.mechanism import CouplingLaw, Mechanism, UNTURNED
 from closedloop_dynamics.mechanism.shapes import SHAPES
 from closedloop_dynamics.mechanism.validation import SECTIONS
+from closedloop_dynamics.scene.integrators import INTEGRATORS, STABILISATIONS
 from closedloop_dynamics.scene.loading import SCENE_KEYS
 from closedloop_dynamics.scene.records import Initial, Method
 

@@ -7,9 +7,9 @@ from pathlib import Path
 import sys
 
 from closedloop_dynamics import load_scene, Simulation
-from closedloop_dynamics.integration.system import build_system
 from closedloop_dynamics.kinematics.modeling import build_model
 from closedloop_dynamics.mechanism.validation import validate_mechanism
+from closedloop_dynamics.simulation.system import build_system
 from closedloop_dynamics.studies.accuracy import Line, study_accuracy
 from closedloop_dynamics.studies.accuracy_report import title, work_precision
 from families import chain, ladder

@@ -15,8 +15,8 @@ import grimp
 ROOT = Path(__file__).resolve().parents[1]
 PACKAGE = 'closedloop_dynamics'
 # What must work for any mechanism alike.
-ROOMS_OF_ANY_MECHANISM = ('codegen', 'effects', 'integration', 'kinematics', 'mechanism', 'scene',
-                          'simulation', 'visual')
+ROOMS_OF_ANY_MECHANISM = ('codegen', 'effects', 'kinematics', 'mechanism', 'scene', 'simulation',
+                          'visual')
 
 
 def test_rooms_import_only_what_lies_below_them():

@@ -42,7 +42,7 @@ def _run(arguments):
         arguments.output.mkdir(parents=True, exist_ok=True)
         write_csv(paths[0], ('problem', 'scene', 'duration', 'accuracy', 'energy_error',
                              'position_error', 'cpu_time'), rows)
-        # Of each problem the last solution, the one of the accuracy named last.
+        # The last solution of each problem, that of the accuracy named last.
         last = {one.problem.name: one for one in solutions}
         for path, one in zip(paths[1:], last.values()):
             one.write(path)

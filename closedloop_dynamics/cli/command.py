@@ -33,7 +33,7 @@ PICTURES, TABLE, YAML = ('.png', '.pdf', '.svg'), ('.csv',), ('.yaml', '.yml')
 READING = 'Reading the machine and closing its loops (Ctrl-C stops it) ...'
 
 
-# Of an example in a help.
+# Longest line of an example in a help text.
 LONGEST_LINE = 96
 
 

@@ -21,9 +21,9 @@ from ..visual.tables import write_csv
 
 def _run(arguments):
     # Only here, as in the functions below: SciPy takes long to load.
-    from ..estimation.start_finder import StartFinder
     from ..estimation.record_file import begun, read_events, record_of, without_latency
     from ..estimation.setup_file import read_setup, SetupError
+    from ..estimation.start_finder import StartFinder
     if arguments.output is not None:
         if arguments.output.suffix != '.csv' and arguments.output.exists():
             raise UsageError(f'--output: {arguments.output} exists; name another bag')
@@ -100,9 +100,9 @@ def _report(arguments, scene, setup, events, record, estimates, consistency, ala
     first, last = record.times[[0, -1]]
     print(f'{arguments.recording}: {len(record.times)} instants of {scene.name}, '
           f'{last - first:.6g} s')
-    untold = []
+    unobservable = []
     if setup.unknowns:
-        table, untold = unknowns_table(estimate, setup.unknowns)
+        table, unobservable = unknowns_table(estimate, setup.unknowns)
         print(table)
     print(sensors_table(consistency))
     for alarm in alarms:
@@ -112,9 +112,9 @@ def _report(arguments, scene, setup, events, record, estimates, consistency, ala
         print(f'picture in {arguments.picture}')
     if arguments.output is not None:
         print(f'estimates in {arguments.output}')
-    if len(untold) == len(estimate.unknowns.names) > 0:
+    if len(unobservable) == len(estimate.unknowns.names) > 0:
         return complain(arguments, 'nothing of what is unknown can be estimated from this record '
-                        f'({", ".join(untold)}): does the machine move in it?')
+                        f'({", ".join(unobservable)}): does the machine move in it?')
     wrong = [name for name, one in consistency.sensors.items() if not one.consistent]
     if alarms or wrong:
         return complain(arguments, 'the record does not fit the model and its noise: ' + (

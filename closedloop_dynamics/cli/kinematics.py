@@ -55,7 +55,7 @@ def paced(arguments, scene, poses=POSES):
     drives, count = drives_of(arguments, scene) if arguments.drive else (cycle(scene), poses)
     speed = arguments.speed
     if arguments.duration is not None:
-        # Of the first one that moves; a run refuses drives that all rest.
+        # The speed is that of the first drive that moves; a run refuses drives that all rest.
         moves = [abs(drive.end - drive.start) for drive in drives.values()
                  if drive.end != drive.start]
         speed = moves[0] / arguments.duration if moves else speed

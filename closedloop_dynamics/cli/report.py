@@ -73,8 +73,8 @@ sensitivity to every length, and tolerances.
                  help='plus or minus, three standard deviations: of every length [m, mm], or, '
                       'with WHAT=, of a kind (length, lead, angle, ratio) or of one parameter; '
                       'may be repeated (default: ' + ', '.join(
-                          f'{kind}={value:g} {unit}'
-                          for kind, (unit, value) in TOLERANCES.items()) + ')'),
+                          f'{one.name}={one.values:g} {one.unit}'
+                          for one in TOLERANCES.values()) + ')'),
         Output('--output', 'FILE.html', 'where to write the page; FILE.pdf: a document of the '
                'same', ('.html', '.pdf'), required=True)),
     run=_run)

@@ -13,11 +13,11 @@ import warnings
 from .command import (
     Argument, checked_torques, Command, complain, FAILED, Group, mapping, MOTION, OVERWRITE,
     positive, reading_options, require_free, SCENE, scene_of, SET, TABLE, TORQUE, UsageError)
-from ..integration.registry import ADAPTIVE, AUTO, INTEGRATORS, STABILISATIONS
 from ..mechanism.errors import InaccuracyWarning, SimulationError
 from ..recording.cost import allowance, probe
 from ..recording.rows import write_scene
 from ..recording.run import columns, ErrorEstimate, headings, Report, run
+from ..scene.integrators import ADAPTIVE, AUTO, INTEGRATORS, STABILISATIONS
 from ..scene.records import SMALLEST_STEP
 from ..simulation.monitor import energy_in_words
 from ..simulation.rollout_run import TIME_ROUNDING

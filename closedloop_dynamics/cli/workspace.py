@@ -20,7 +20,7 @@ from ..simulation.signals import program_watch
 from ..visual.progress import announced, parts_bar
 
 STATUS = 'status'
-# Of a percentage, a share.
+# Percentage of a share of 1.
 PERCENT = 100.0
 # What a request is made of.
 OPTIONS = 'point', 'grid', 'orientation', 'turn', 'limit', 'clearance', 'torque-limit', 'stiffness'
@@ -63,7 +63,7 @@ def _run(arguments):
         except (BranchEndError, AssemblyError, WorkspaceFileError) as error:
             raise UsageError(f'{scene.name}: {error}') from None
         except ValueError as error:
-            # Of the fields of a request, and of the scene.
+            # The error names a field of the request, or the scene.
             option = str(error).partition(':')[0].replace('_', '-')
             raise UsageError(f'--{option}{str(error)[len(option):]}' if option in OPTIONS
                              else str(error)) from None
@@ -118,7 +118,7 @@ def summary(scene, found):
         known = values[np.isfinite(values)]
         if len(known):
             lines.append(f'  {name:<24} {known.min():.6g} to {known.max():.6g} '
-                         f'{QUANTITIES[name][0]}, median {np.median(known):.6g}')
+                         f'{QUANTITIES[name].unit}, median {np.median(known):.6g}')
     for kind in dict.fromkeys(curve.kind for curve in found.curves):
         each = [curve for curve in found.curves if curve.kind == kind]
         length = sum(float(np.linalg.norm(np.diff(curve.places, axis=0), axis=1).sum())
@@ -141,8 +141,7 @@ def _draw(arguments, scene, found):
         values = np.where(found.count > 0, PERCENT * found.count / len(found.angles), np.nan)
         label = 'orientations reached [%]'
     elif values is not None:
-        unit = QUANTITIES[shown][0]
-        label = f'{shown} [{unit}]' if unit != '1' else f'{shown} number'
+        label = QUANTITIES[shown].label
     machine = None
     if scene.mechanism.planar and found.position is not None:
         places = np.argwhere(found.status == REACHED)

@@ -18,10 +18,19 @@ from .function_table import (
     TORQUE_RESPONSE, WRENCHES)
 from .machine_code import announced_by
 from .routines import addresses, unrolled_size, with_torque_response
+from .space import is_spatial
 
-__all__ = ['ALWAYS', 'announced_by', 'LEAST_FORCES', 'LEFT_OUT', 'link', 'LOOP_EQUATIONS',
-           'OF_FORCES', 'REACTIONS', 'REFINED', 'relink', 'TORQUE_RESPONSE', 'unrolled_size',
-           'WRENCHES']
+__all__ = ['ALWAYS', 'announced_by', 'can_be_unrolled', 'LEAST_FORCES', 'LEFT_OUT', 'link',
+           'LOOP_EQUATIONS', 'MOST_UNROLLED_OPERATIONS', 'OF_FORCES', 'REACTIONS', 'REFINED',
+           'relink', 'TORQUE_RESPONSE', 'unrolled_size', 'WRENCHES']
+
+# Unrolled code is three to twenty times as fast as loops over bodies. It grows with the mechanism:
+# up to so many operations of an evaluation, as they are traced, it is compiled in fifteen seconds
+# at most, once. In the plane, 0.02 rad beside the flat position of 40 loops in a row, its
+# accelerations are off by 8e-6 m/s^2, those by loops over bodies by 4e-8.
+MOST_UNROLLED_OPERATIONS, MOST_UNROLLED_IN_PLANE = 50_000, 5_000
+# A link of a chain in the plane takes more.
+LEAST_OPERATIONS_OF_A_JOINT = 30
 
 
 def link(model, table, which=ALWAYS, joints=None):
@@ -34,6 +43,15 @@ def link(model, table, which=ALWAYS, joints=None):
     others = tuple(one for one in which if one not in found and one != TORQUE_RESPONSE)
     for place, address in {**addresses(model, others, joints=joints), **found}.items():
         table[place] = address
+
+
+def can_be_unrolled(model):
+    """Return whether the routines of a mechanism are small enough to be compiled."""
+    most = MOST_UNROLLED_OPERATIONS if is_spatial(model) else MOST_UNROLLED_IN_PLANE
+    if LEAST_OPERATIONS_OF_A_JOINT * len(model.tree) > most:
+        # Tracing would take long, and end with this, too.
+        return False
+    return unrolled_size(model, MOST_UNROLLED_OPERATIONS) <= most
 
 
 def relink(model, table, joints=None, but=()):

@@ -23,7 +23,7 @@ SERIES = (
     -0.0011702314319331458, 0.00022440003840546867, -2.0400675298866947e-05)
 # What pi/2 is more than its rounding.
 REST = 6.123233995736766e-17
-# Of numbers of type double: the least positive one, the bit of the sign.
+# The least positive double, and the bit of the sign.
 LEAST, SIGN = 5e-324, -1 << 63
 # A square so small changes nothing in the series; its powers are not denormal, which takes long.
 SLIGHT = 1e-19

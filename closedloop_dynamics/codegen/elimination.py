@@ -24,7 +24,7 @@ SMALL_PIVOT = 1e-3
 # from dependent), it passes errors of a stage's positions into the accelerations a hundredfold:
 # the rank-revealing path takes over, which weighs them.
 POOR_PIVOT = 1e-4
-# Of many joints in a row small pivots are the size, not the configuration: the smallest one of a
+# In long chains small pivots show the size, not the configuration: the smallest one of a
 # regular ladder or chain is 0.3 / nv or 0.9 / nv. From so many joints on the limit falls likewise.
 MANY_JOINTS = 100.0
 
@@ -112,7 +112,7 @@ def factorize(model, work):
 
 def compared(pivot, scale):
     """Return a pivot relative to its reference value, and one over it; zeros where it is none."""
-    # Of equations before any are left out: one that no motion changes, or that repeats another.
+    # Before equations are left out: an equation that no motion changes, or that repeats another.
     return (0.0, 0.0) if is_zero((pivot,)) else (pivot / scale, 1.0 / pivot)
 
 

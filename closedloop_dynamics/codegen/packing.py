@@ -58,7 +58,7 @@ def alike(operations, use, apart, fewest):
         if kind == LOAD:
             key = kind, operands[0]
         else:
-            # Of two products a sum rounds one.
+            # A sum of two products rounds one of them.
             if kind == MULTIPLY or kind == ADD and any(
                     isinstance(o, float) or operations[o][0] not in (MULTIPLY, NEGATE)
                     for o in operands):

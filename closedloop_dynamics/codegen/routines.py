@@ -51,7 +51,7 @@ def topology(model):
     return tuple((array.shape, array.tobytes()) for array in arrays)
 
 
-# Of a trace more is recorded than its routine needs; up to so many times as much.
+# Up to so many times as many operations are recorded in a trace as its routine needs.
 RECORDED = 2
 # Place of the mechanism's size behind Baumgarte's rate among the settings of a system.
 _SIZE = 4
@@ -72,7 +72,7 @@ def addresses(model, which, form=PACKED, joints=None):
     which least forces are found.
     """
     key = topology(model), form
-    # Of each mechanism those that were asked for, whichever were asked for together.
+    # Addresses of the routines of each mechanism that were requested so far.
     known = _addresses.setdefault(key, {})
     one_by_one = {one: (one, joint_forces.structure(model, joints)) if one == LEAST_FORCES else one
                   for one in which}

@@ -23,7 +23,7 @@ _RATE = 2.5
 # Values that may wait in registers, and how many operations are then compared for which of them
 # needs least more.
 _REGISTERS, _COMPARED = 28, 64
-# Of more operations the order of the recursions keeps more in registers.
+# With more operations than this the order of the recursions keeps more in registers.
 MOST = 2000
 
 

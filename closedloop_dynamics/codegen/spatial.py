@@ -304,7 +304,7 @@ class Recursion:
             axis=axis)
         if body.axis != Z:
             return motion
-        # Of any length: between steps integrators leave the unit sphere.
+        # The quaternion may have any length: between steps integrators leave the unit sphere.
         frame = product(base, rotation(quaternion, 2.0 / dot(quaternion, quaternion)))
         spinning = times(frame, rates)
         return motion._replace(
@@ -759,7 +759,7 @@ def _rotations(cut, first, second):
     turns = subtract(first.spin, second.spin)
     for n, m in cut.perpendicular:
         if (n, m) == (X, Y) and first.base is second.base and cut.turned_a is cut.turned_b is None:
-            # Of parallel axes the angle itself, however many turns.
+            # Where axes are parallel, the angle itself, whatever the number of turns.
             axis = transpose(first.frame)[Z]
             yield Closure(
                 first.angle - second.angle - cut.angle, dot(axis, turns),

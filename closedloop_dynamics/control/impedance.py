@@ -17,7 +17,7 @@ from ..kinematics.geometry import Geometry
 from ..mechanism.kinematics import body_poses, body_velocities, poses_in_space, wrench_in_joints
 from ..mechanism.rotations import composed, CONJUGATE, rotated, rotation_vector
 
-# Of forces and torques in space, those of a planar mechanism: along x and y, about z.
+# Indices of the components in space that a planar mechanism has: along x and y, about z.
 IN_PLANE = [0, 1, 5]
 
 

@@ -220,7 +220,7 @@ class PredictiveController:
         for k in range(count):
             stepper.tau[:] = self.torques[k]
             stepper()
-            # Of later torques there are none.
+            # Later torques have no part in it.
             part = (k + 1) * na
             np.matmul(stepper.A, along[k, :, :part], out=along[k + 1, :, :part])
             along[k + 1, :, part - na:part] = stepper.B

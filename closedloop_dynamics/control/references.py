@@ -24,7 +24,7 @@ from ..mechanism.rotations import about_z, composed, CONJUGATE, of_quaternion, q
 # Positions around the circle that the joints are solved for; their harmonics are exact to
 # rounding for circles that keep away from singular configurations.
 POSITIONS = 128
-# Of a straight way between two places, which a spline goes through.
+# Points of a straight way between two places, which a spline goes through.
 STRETCHES = 24
 
 

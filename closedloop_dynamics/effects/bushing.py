@@ -26,7 +26,7 @@ from typing import Optional, Union
 
 import numpy as np
 
-from .effect import Effect, require_one_end
+from .effect import Effect
 from .element import DISSIPATED, ForceElement, State
 from .force_law import force_law
 from ..codegen.expression_graph import square_root
@@ -98,9 +98,8 @@ class Bushing(Effect):
     rest_orientation: Quaternion = UNTURNED
 
     def __post_init__(self):
-        """Refuse one with no end or three."""
+        """Name the readings, of which there are more in space."""
         super().__post_init__()
-        require_one_end(self)
         if 3 in (len(self.stiffness), len(self.damping), len(self.anchor or ())) or isinstance(
                 self.turning_stiffness, tuple):
             object.__setattr__(self, 'READINGS', ('force_1', 'force_2', 'force_3', 'moment'))
@@ -142,7 +141,7 @@ class Bushing(Effect):
             machine.carrier(self.point_b) if self.point_b else GROUND).axes @ rest.T @ own
         turning, loss = (np.broadcast_to(values, 3) for values in (
             self.turning_stiffness, self.turning_damping))
-        # Of the energy: half the sum of the others' less its own.
+        # Coefficients of the energy: half the sum of the other two less its own.
         shares = 0.5 * turning.sum() - turning
         return (*shares.tolist(), *loss.tolist()), np.vstack([axes_a.T, axes_b.T]).ravel().tolist()
 

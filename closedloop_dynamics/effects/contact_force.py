@@ -10,7 +10,7 @@ from ..codegen.vectors import add, dot, scale
 
 def contact_law(**keys):
     """Make a function of forces the law of a contact; ``keys`` are those of ``ForceLaw``."""
-    # Of some exponents code is without a power.
+    # Some exponents need no power in the code.
     return force_law(
         terms=lambda row: (row.values[7] if row.values[7] in (1.0, 1.5) else 0.0,), **keys)
 

@@ -104,20 +104,6 @@ class NameResolver:
         return values if self.mechanism.planar or len(values) == 3 else (0.0, 0.0, 0.0)
 
 
-def require_one_end(effect):
-    """
-    Refuse an effect at ``point_a`` whose other end, ``point_b`` or ``anchor``, is none or both.
-
-    Raises
-    ------
-    FieldError
-
-    """
-    if (effect.point_b is None) == (effect.anchor is None):
-        raise FieldError('either point_b or anchor', 'both' if effect.anchor else 'neither',
-                         path=('point_b',))
-
-
 def require_body(mechanism, key, name):
     """
     Refuse the name of no body.
@@ -177,10 +163,14 @@ class Effect:
     FILES = {}
 
     def __post_init__(self):
-        """Pass the fields through their checks."""
+        """Pass the fields through their checks; an effect with an anchor has that or point_b."""
         normalise(self, **{
             key: check for key, check in self.CHECKS.items()
             if getattr(self, key) is not None or getattr(type(self), key, 0) is not None})
+        ends = 'anchor' in self.CHECKS and self.point_a and not getattr(self, 'joint', None)
+        if ends and (self.point_b is None) == (self.anchor is None):
+            raise FieldError('either point_b or anchor', 'both' if self.anchor else 'neither',
+                             path=('point_b',))
 
     def fit(self, mechanism):
         """
@@ -300,7 +290,7 @@ class Effect:
         Returns
         -------
         tuple of floats, or None
-            The time, and, where it has a profile, which piece of that is the present one
+            The time, and, where it has a profile, which segment of that is the present one
             (``engine/time_events.hpp``); None where the effect knows no time.
 
         """

@@ -275,9 +275,9 @@ class EffectSet:
                                  f'loaded ({room})', f'{wanted}', 'load a scene that has it')
             room, wanted = (len(one.numbers) for one in (known, element))
             if wanted > room:
-                raise FieldError('a profile or curve of no more pieces than it had when the scene '
-                                 'was loaded', f'one that takes {wanted} numbers instead of '
-                                 f'{room}', 'load a scene that has it')
+                raise FieldError('a profile or curve of no more segments than it had when the '
+                                 'scene was loaded', f'one that takes {wanted} numbers instead '
+                                 f'of {room}', 'load a scene that has it')
 
     def change(self, name, enabled, parameters):
         """
@@ -308,7 +308,7 @@ class EffectSet:
         """
         Return a function that undoes what is changed, and evaluated, from now on.
 
-        To the last bit: what sensors and drives remember, where cables are wound and which piece
+        To the last bit: what sensors and drives remember, where cables are wound and which segment
         of a profile was found last, too.
         """
         attributes = {**vars(self), 'records': dict(self.records), 'enabled': dict(self.enabled)}

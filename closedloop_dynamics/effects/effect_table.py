@@ -1,7 +1,7 @@
 # SPDX-FileCopyrightText: 2026 The closedloop_dynamics authors
 # SPDX-License-Identifier: Apache-2.0
 
-"""The engine's table of the listed effects, made of what they say of themselves."""
+"""The engine's table of the listed effects, made of their rows."""
 
 from typing import NamedTuple
 
@@ -23,7 +23,7 @@ class EffectElement(NamedTuple):
     values: np.ndarray
     numbers: np.ndarray
     entries: int
-    # Of its states.
+    # Sizes of its states.
     scale: np.ndarray
     initial: np.ndarray
     summed: bool

@@ -50,7 +50,7 @@ class ForceElement(NamedTuple):
     summed: bool = False
     loaded: bool = False  # Whether the law wants the reaction in its joint
     gap: int = NO_GAP  # What opens and closes
-    # Of a motion: its row of ``Model.cut``, multiplier, column of ``Model.cut_point``.
+    # For a motion: its row of ``Model.cut``, multiplier, column of ``Model.cut_point``.
     equation: Tuple[int, ...] = ()
 
     @property

@@ -24,7 +24,7 @@ TWO = ('add', 'sub', 'mul', 'div', 'pow', 'atan2', 'hypot', 'min', 'max')
 _CODES = {name: code for code, name in enumerate((*ONE, *TWO), 2)}
 (NEG, ABS, SIN, COS, TAN, ASIN, ACOS, ATAN, SQRT, EXP, LOG, RADIANS, DEGREES,
  ADD, SUB, MUL, DIV, POW, ATAN2, HYPOT, MIN, MAX) = range(2, 2 + len(_CODES))
-# Of functions of one number x.
+# Derivatives of functions of one number x.
 _DERIVATIVES = {
     SIN: 'cos(x)', COS: '-sin(x)', TAN: '1/cos(x)**2', ASIN: '1/sqrt(1-x**2)',
     ACOS: '-1/sqrt(1-x**2)', ATAN: '1/(1+x**2)', SQRT: '0.5/sqrt(x)', EXP: 'exp(x)',
@@ -183,7 +183,7 @@ def _of_power(term, base, exponent, of_base, of_exponent):
     return found
 
 
-# Of a term of two operands, from it, these and their derivatives.
+# Derivative of a term of two operands, from it, these and their derivatives.
 _OF_TWO = {
     ADD: lambda term, x, y, dx, dy: dx + dy,
     SUB: lambda term, x, y, dx, dy: dx - dy,

@@ -79,9 +79,8 @@ class ForceTable(Effect):
         if (self.joint is None) == (self.point_a is None):
             raise FieldError('either joint or point_a', 'both' if self.joint else 'neither',
                              path=('joint',))
-        if (self.point_a is not None) != ((self.point_b is None) != (self.anchor is None)) or (
-                self.joint is not None and self.anchor is not None):
-            raise FieldError('either point_b or anchor beside point_a',
+        if self.joint is not None and (self.point_b or self.anchor) is not None:
+            raise FieldError('point_b or anchor only beside point_a',
                              shown(self.point_b or self.anchor), path=('point_b',))
         if len(self.strokes) < 2:
             raise FieldError('two strokes or more', f'{len(self.strokes)}', path=('strokes',))

@@ -15,7 +15,7 @@ rest positions.
 from dataclasses import dataclass
 from typing import Optional
 
-from .effect import Effect, require_one_end
+from .effect import Effect
 from .element import ForceElement
 from .force_law import force_law
 from .points import pull_together, two_places
@@ -55,11 +55,6 @@ class MagneticSpring(Effect):
     size: float
     point_b: Optional[str] = None
     anchor: Optional[Vector] = None
-
-    def __post_init__(self):
-        """Refuse invalid values, and one with no end or three."""
-        super().__post_init__()
-        require_one_end(self)
 
     def element(self, machine):
         """Return the effect as a row of the table."""

@@ -14,7 +14,7 @@ absorbers, a cord's elasticity.
 from dataclasses import dataclass
 from typing import Optional
 
-from .effect import Effect, require_one_end
+from .effect import Effect
 from .element import DISSIPATED, ForceElement, State
 from .force_law import force_law
 from .points import pull_together, two_places
@@ -56,11 +56,6 @@ class PointSpring(Effect):
     stiffness: float = 0.0
     damping: float = 0.0
     free_length: float = 0.0
-
-    def __post_init__(self):
-        """Refuse invalid values, and a spring with no end or three."""
-        super().__post_init__()
-        require_one_end(self)
 
     def element(self, machine):
         """Return the effect as a row of the table."""

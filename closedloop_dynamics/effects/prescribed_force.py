@@ -117,9 +117,9 @@ class PrescribedForce(Effect):
         object.__setattr__(self, '_data', self._profile())
 
     def _profile(self):
-        """Return the entries of the table: pieces, or an expression."""
+        """Return the entries of the table: segments, or an expression."""
         if self.shape != 'expression':
-            return profile.pieces(self)
+            return profile.segments(self)
         with at('expression'):
             return (expression.program(self.expression),)
 
@@ -134,7 +134,7 @@ class PrescribedForce(Effect):
         return len(self._data) > 1 or self.period is not None
 
     def clock(self, time):
-        """Return the time, and which piece of the profile is the present one."""
+        """Return the time, and which segment of the profile is the present one."""
         return time, profile.present(self._data, self.period, time)
 
     def element(self, machine):

@@ -148,7 +148,7 @@ class PrescribedMotion(Effect):
         object.__setattr__(self, '_data', self._profile())
         if self.expression is None:
             # What was commanded begins where the profile before it was.
-            _require_smooth([piece for piece in self._data if piece[0] < math.inf][
+            _require_smooth([segment for segment in self._data if segment[0] < math.inf][
                 self.shape == COMMANDED and self.times is not None:], self.period)
         elif not np.isfinite(self.at(0.0)).all():
             raise FieldError('position, rate and acceleration that are finite at t = 0',
@@ -164,14 +164,14 @@ class PrescribedMotion(Effect):
         return self.offset is None and 'offset' in SHAPES[self.shape][1]
 
     def _profile(self):
-        """Return the entries of the table: pieces, from 0 on, or expression and derivatives."""
+        """Return the entries of the table: segments, from 0 on, or expression and derivatives."""
         if self.shape == 'expression':
             with at('expression'):
                 return expression.programs(self.expression)
         if self.shape == 'constant':
-            return (profile.piece(0.0, 0.0, 0.0),)
+            return (profile.segment(0.0, 0.0, 0.0),)
         if self.shape == 'constant_speed':
-            return (profile.piece(0.0, 0.0, self.speed),)
+            return (profile.segment(0.0, 0.0, self.speed),)
         if self.shape == 'table':
             return _of_table(self)
         if self.shape == COMMANDED:
@@ -180,19 +180,19 @@ class PrescribedMotion(Effect):
             return profile.ramps(self, 0.0, self._trapezoid)
         if self.shape == 'cycloid':
             return profile.ramps(self, 0.0, partial(profile.ramp, shape='cycloid'))
-        return (profile.piece(0.0, 0.0, wave=profile.wave(self)),)
+        return (profile.segment(0.0, 0.0, wave=profile.wave(self)),)
 
     def _trapezoid(self, start, duration, level, height):
-        """Return the pieces of a rise with a trapezoidal speed."""
+        """Return the segments of a rise with a trapezoidal speed."""
         ramp = duration / 3.0 if self.ramp is None else self.ramp
         if ramp > 0.5 * duration:
             raise FieldError(f'at most half of the time that a rise or fall takes '
                              f'({0.5 * duration:g} s)', f'{ramp:g}', path=('ramp',))
         speed = height / (duration - ramp)
         curve, climbed = 0.5 * speed / ramp, 0.5 * speed * ramp
-        return [profile.piece(start, level, 0.0, curve),
-                profile.piece(start + ramp, level + climbed, speed),
-                profile.piece(start + duration - ramp, level + height - climbed, speed, -curve)]
+        return [profile.segment(start, level, 0.0, curve),
+                profile.segment(start + ramp, level + climbed, speed),
+                profile.segment(start + duration - ramp, level + height - climbed, speed, -curve)]
 
     @property
     def ENDS_STEPS(self):  # noqa: N802
@@ -260,9 +260,9 @@ class PrescribedMotion(Effect):
                 for key in RATES} | {'times': tuple(map(float, times))}
 
     def clock(self, time):
-        """Return the time, and which piece of the profile is the present one."""
-        pieces = ((0.0,),) if self.expression is not None else self._data
-        return time, profile.present(pieces, self.period, time)
+        """Return the time, and which segment of the profile is the present one."""
+        segments = ((0.0,),) if self.expression is not None else self._data
+        return time, profile.present(segments, self.period, time)
 
     def at(self, time, start=0.0):
         """
@@ -298,7 +298,7 @@ def motion_over_time(forces):
 
 
 def _of_table(record):
-    """Return the pieces of a cubic spline through a table."""
+    """Return the segments of a cubic spline through a table."""
     times, values, period = profile.require_table(record)
     moving = record.ends == MOVING
     if period is not None:
@@ -309,29 +309,29 @@ def _of_table(record):
     from scipy.interpolate import CubicSpline
     spline = CubicSpline(times, values, bc_type='periodic' if period is not None else (
         'not-a-knot' if moving else 'clamped'))
-    rows = [profile.piece(start, *spline.c[::-1, k]) for k, start in enumerate(times[:-1])]
+    rows = [profile.segment(start, *spline.c[::-1, k]) for k, start in enumerate(times[:-1])]
     if period is None:
         slopes = spline(times[[0, -1]], 1) * moving
-        rows = [profile.piece(times[0] - 1.0, values[0] - slopes[0], slopes[0]), *rows,
-                profile.piece(times[-1], values[-1], slopes[1])]
+        rows = [profile.segment(times[0] - 1.0, values[0] - slopes[0], slopes[0]), *rows,
+                profile.segment(times[-1], values[-1], slopes[1])]
     return tuple(tuple(map(float, row)) for row in rows)
 
 
 def _commanded(record):
-    """Return the pieces of a profile that was commanded, and room for those of others."""
+    """Return the segments of a profile that was commanded, and room for those of others."""
     room = record.room or ROOM
     if record.times is None:
         for key in RATES:
             if getattr(record, key) is not None:
                 raise FieldError('this key beside times', 'it alone', path=(key,))
-        rows = [profile.piece(0.0, 0.0)]
+        rows = [profile.segment(0.0, 0.0)]
     else:
         rows = _through(record)
     if len(rows) > room + 2:
         raise FieldError(f'at most {room} points, which there is room for',
                          f'{len(rows) - 2}', 'give it more `room` in the scene', ('times',))
-    # Pieces that never begin.
-    rows += (room + 2 - len(rows)) * [profile.piece(math.inf)]
+    # Segments that never begin.
+    rows += (room + 2 - len(rows)) * [profile.segment(math.inf)]
     return tuple(tuple(map(float, row)) for row in rows)
 
 
@@ -351,15 +351,15 @@ def _through(record):
     if record.ends != MOVING and last_rate != 0.0:
         raise FieldError('rest at the end (a rate of 0)', f'a rate of {last_rate:g}',
                          'or `ends: moving` in the scene', ('rates', len(times) - 1))
-    rows = [profile.piece(times[0] - 1.0, knots[0, 0])]
+    rows = [profile.segment(times[0] - 1.0, knots[0, 0])]
     with np.errstate(all='ignore'):
         for start, duration, one, other in zip(times, np.diff(times), knots, knots[1:]):
-            row = profile.piece(start, *_polynomial(duration, one, other))
+            row = profile.segment(start, *_polynomial(duration, one, other))
             if not np.isfinite(row).all():
                 raise FieldError('a profile that can be followed',
                                  f'rates or accelerations beyond all bounds at t = {start:.6g} s')
             rows.append(row)
-    return [*rows, profile.piece(times[-1], knots[-1, 0], last_rate)]
+    return [*rows, profile.segment(times[-1], knots[-1, 0], last_rate)]
 
 
 def _slopes(times, values, rate):
@@ -389,15 +389,15 @@ def _polynomial(duration, one, other):
             (12.0 * way - 6.0 * rate - 6.0 * last - curve + end) / (2.0 * h ** 5))
 
 
-def _require_smooth(pieces, period):
-    """Refuse pieces where position or speed jumps from one to the next."""
-    ends = [*(piece[0] for piece in pieces[1:]), *([] if period is None else [period])]
+def _require_smooth(segments, period):
+    """Refuse segments where position or speed jumps from one to the next."""
+    ends = [*(segment[0] for segment in segments[1:]), *([] if period is None else [period])]
     # Once around, where the profile begins again.
-    following = [*pieces[1:], *([] if period is None else [pieces[0]])]
+    following = [*segments[1:], *([] if period is None else [segments[0]])]
     met = [(*_at(one, end - one[0]), *_at(other, 0.0), end)
-           for one, other, end in zip(pieces, following, ends)]
-    inside = [_at(piece, share * (end - piece[0]))
-              for piece, end in zip(pieces, ends) for share in (0.25, 0.5, 1.0)]
+           for one, other, end in zip(segments, following, ends)]
+    inside = [_at(segment, share * (end - segment[0]))
+              for segment, end in zip(segments, ends) for share in (0.25, 0.5, 1.0)]
     for n, (what, unit) in enumerate((
             ('position', EITHER['position']), ('speed', EITHER['velocity']))):
         most = max((abs(each[n]) for each in inside), default=0.0)
@@ -409,6 +409,6 @@ def _require_smooth(pieces, period):
                     f't = {row[4]:.6g} s')
 
 
-def _at(piece, u):
-    """Return value and rate of a piece after some time."""
-    return profile.values_of_piece(piece[1:], u)[:2]
+def _at(segment, u):
+    """Return value and rate of a segment after some time."""
+    return profile.values_of_segment(segment[1:], u)[:2]

@@ -2,11 +2,11 @@
 # SPDX-License-Identifier: Apache-2.0
 
 """
-Profiles over time: a quantity as a chain of pieces, each a polynomial and a sine.
+Profiles over time: a quantity as a chain of segments, each a polynomial and a sine.
 
-    y(t) = c0 + u (c1 + ... u c5) + a sin(w u + p),     u = t - (start of the piece)
+    y(t) = c0 + u (c1 + ... u c5) + a sin(w u + p),     u = t - (start of the segment)
 
-A state of the effect counts the pieces, so that within a step one formula holds; steps end where
+A state of the effect counts the segments, so that within a step one formula holds; steps end where
 the next begins (``engine/time_events.hpp``). With a period the chain repeats for ever.
 """
 
@@ -20,7 +20,7 @@ import numpy as np
 from ..codegen.expression_graph import chosen, cosine, sine
 from ..mechanism.fields import FieldError, shown
 
-# Columns of a piece: its start [s], c0 to c5, a, w, p.
+# Columns of a segment: its start [s], c0 to c5, a, w, p.
 COEFFICIENTS, COLUMNS = 6, 10
 # Shape -> the keys that it needs, and those that it may have.
 RAMPS = (('amplitude', 'rise'), ('offset', 'start', 'hold', 'fall', 'period'))
@@ -70,23 +70,23 @@ def require_keys(record, shapes=SHAPES):
                              f'remove it, as the shape is {record.shape}', (key,))
 
 
-def pieces(record):
+def segments(record):
     """
-    Return the pieces of a profile, rows of COLUMNS floats, of a record with its shape and keys.
+    Return the segments of a profile, rows of COLUMNS floats, of a record with its shape and keys.
 
     FieldError.
     """
     if record.shape == 'constant':
-        return (piece(0.0, record.amplitude),)
+        return (segment(0.0, record.amplitude),)
     if record.shape == 'sine':
-        return (piece(0.0, record.offset or 0.0, wave=wave(record)),)
+        return (segment(0.0, record.offset or 0.0, wave=wave(record)),)
     if record.shape == 'table':
         return _of_table(record)
     return ramps(record, record.offset or 0.0, partial(ramp, shape=record.shape))
 
 
-def piece(start, *coefficients, wave=(0.0, 0.0, 0.0)):
-    """Return a piece: start [s], coefficients c0, c1, ..., and a wave a, w, p; zero by default."""
+def segment(start, *coefficients, wave=(0.0, 0.0, 0.0)):
+    """Return a segment: start [s], coefficients c0, c1, ..., a wave a, w, p; zero by default."""
     return (start, *coefficients, *(COEFFICIENTS - len(coefficients)) * (0.0,), *wave)
 
 
@@ -97,22 +97,22 @@ def wave(record):
 
 def ramps(record, low, ramp):
     """
-    Return the pieces of a rise from ``low``, a rest on top where there is one, and a fall.
+    Return the segments of a rise from ``low``, a rest on top where there is one, and a fall.
 
-    The record has the keys of a trapezoid or cycloid; ``ramp`` returns the pieces of a rise, of
+    The record has the keys of a trapezoid or cycloid; ``ramp`` returns the segments of a rise, of
     its start, duration, level and height.
     """
     fall = record.rise if record.fall is None else record.fall
-    found, now = [piece(0.0, low)], record.start or 0.0
+    found, now = [segment(0.0, low)], record.start or 0.0
     top = low + record.amplitude
     found += ramp(now, record.rise, low, record.amplitude)
     now += record.rise
-    found.append(piece(now, top))
+    found.append(segment(now, top))
     if record.hold is not None:
         now += record.hold
         found += ramp(now, fall, top, -record.amplitude)
         now += fall
-        found.append(piece(now, low))
+        found.append(segment(now, low))
     elif record.fall is not None:
         raise FieldError('this key beside hold, after which it falls', 'it alone', path=('fall',))
     elif record.period is not None:
@@ -125,12 +125,12 @@ def ramps(record, low, ramp):
 
 
 def ramp(start, duration, level, height, shape):
-    """Return a trapezoid's or cycloid's ramp: one piece, or none where it takes no time."""
+    """Return a trapezoid's or cycloid's ramp: one segment, or none where it takes no time."""
     if duration == 0.0:
         return []
     wave = (0.0, 0.0, 0.0) if shape == 'trapezoid' else (
         -height / (2.0 * math.pi), 2.0 * math.pi / duration, 0.0)
-    return [piece(start, level, height / duration, wave=wave)]
+    return [segment(start, level, height / duration, wave=wave)]
 
 
 def require_table(record):
@@ -159,36 +159,36 @@ def require_closed(values):
 
 
 def _of_table(record):
-    """Return the pieces between the rows of a table; before and after it the ends hold."""
+    """Return the segments between the rows of a table; before and after it the ends hold."""
     times, values, period = require_table(record)
     kind = record.interpolation or 'linear'
     if period is not None and kind == 'cubic':
         require_closed(values)
     # Before the table, wherever that begins.
-    rows = [piece(times[0] - 1.0, values[0])] if period is None else []
+    rows = [segment(times[0] - 1.0, values[0])] if period is None else []
     if kind == 'cubic':
         # Not before it is wanted: it takes a third of the time that loading the package would.
         from scipy.interpolate import CubicSpline
         spline = CubicSpline(times, values, bc_type='not-a-knot' if period is None else 'periodic')
-        rows += [piece(start, *spline.c[::-1, k])
+        rows += [segment(start, *spline.c[::-1, k])
                  for k, start in enumerate(times[:-1])]
     else:
         slopes = np.diff(values) / np.diff(times) * (kind == 'linear')
-        rows += map(piece, times[:-1], values[:-1], slopes)
-    rows.append(piece(times[-1], values[-1]))
+        rows += map(segment, times[:-1], values[:-1], slopes)
+    rows.append(segment(times[-1], values[-1]))
     return _without_empty(rows, period)
 
 
 def _without_empty(found, period):
-    """Leave out pieces that take no time; those of a period begin at 0."""
-    ends = [piece[0] for piece in found[1:]] + [math.inf if period is None else period]
-    kept = [piece for piece, end in zip(found, ends)
-            if end - piece[0] > SAME_TIME * max(1.0, abs(piece[0]))]
-    return tuple(tuple(map(float, piece)) for piece in kept)
+    """Leave out segments that take no time; those of a period begin at 0."""
+    ends = [segment[0] for segment in found[1:]] + [math.inf if period is None else period]
+    kept = [segment for segment, end in zip(found, ends)
+            if end - segment[0] > SAME_TIME * max(1.0, abs(segment[0]))]
+    return tuple(tuple(map(float, segment)) for segment in kept)
 
 
 def present(found, period, time):
-    """Return which of the pieces is the present one, counted on through all periods [s]."""
+    """Return which of the segments is the present one, counted on through all periods [s]."""
     time += SAME_TIME * max(1.0, abs(time))
     cycle = 0 if period is None else math.floor(time / period)
     inside = time if period is None else time - cycle * period
@@ -199,13 +199,13 @@ def terms(row):
     """Return which terms the profile of a row of the table has, for the code of a scene."""
     if row.values[1] == 1.0:
         return 'expression',
-    pieces = row.data[:COLUMNS * row.count].reshape(-1, COLUMNS)
-    return bool(pieces[:, 5:7].any()), bool(pieces[:, 7].any())
+    segments = row.data[:COLUMNS * row.count].reshape(-1, COLUMNS)
+    return bool(segments[:, 5:7].any()), bool(segments[:, 7].any())
 
 
-def values_of_piece(c, u, high=True, turns=True):
+def values_of_segment(c, u, high=True, turns=True):
     """
-    Return the value of a piece, its rate and its change, at a time since it began [s].
+    Return the value of a segment, its rate and its change, at a time since it began [s].
 
     Parameters
     ----------
@@ -237,12 +237,12 @@ def present_values(forces):
     """
     Return the value of the profile of an effect at the present time, its rate and its change.
 
-    The engine has looked up the piece, or evaluated the expression and its derivatives.
+    The engine has looked up the segment, or evaluated the expression and its derivatives.
     """
     begun, start, *c = forces.present_piece()
     if forces.terms == ('expression',):
         return c[:3]
-    found = values_of_piece(c, forces.state(0) - begun - start, *forces.terms or ())
+    found = values_of_segment(c, forces.state(0) - begun - start, *forces.terms or ())
     if forces.terms is not None:
         return found
     written = forces.values[1] > 0.5
@@ -254,10 +254,10 @@ def value(forces):
     return present_values(forces)[0] if forces.held is None else forces.held
 
 
-def values_at(pieces, period, time):
+def values_at(segments, period, time):
     """Return the value of a profile at a time [s], its rate and its change."""
-    count = len(pieces)
-    number = int(present(pieces, period, time))
+    count = len(segments)
+    number = int(present(segments, period, time))
     cycle = 0 if period is None else number // count
-    start, *c = pieces[number - cycle * count]
-    return values_of_piece(c, time - cycle * (period or 0.0) - start)
+    start, *c = segments[number - cycle * count]
+    return values_of_segment(c, time - cycle * (period or 0.0) - start)

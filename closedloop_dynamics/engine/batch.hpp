@@ -29,7 +29,7 @@ struct Batch
   Values error;  ///< Shape (LANES,): largest closure error of each lane
   Manifold manifold;  ///< Of all of them
   Values rates;  ///< Shape (LANES * nz,): of the effects' states
-  /// Of effects, shape (LANES * rows * columns,): as Contacts.now and Contacts.trial.
+  /// Gaps of effects, shape (LANES * rows * columns,): as Contacts.now and Contacts.trial.
   Values gaps;
   Values trials;
   /// Shape (LANES * 3,): results of the routine of energies, where there is one: as of Stored.
@@ -52,7 +52,7 @@ struct Batch
   }
 };
 
-/// A run of a lane by itself, for its guards (integration/batch.py).
+/// A run of a lane by itself, for its guards (simulation/batch.py).
 struct Lane
 {
   const System * system = nullptr;

@@ -11,7 +11,6 @@
 #include "build_info.hpp"
 #include "callable.hpp"
 #include "correction.hpp"
-#include "curve.hpp"
 #include "cut_coordinates.hpp"
 #include "dispatch.hpp"
 #include "driven.hpp"
@@ -34,7 +33,6 @@
 #include "rollout.hpp"
 #include "routines.hpp"
 #include "state_steps.hpp"
-#include "static_friction.hpp"
 #include "stiffness.hpp"
 #include "stop_flag.hpp"
 
@@ -191,20 +189,6 @@ double value_of_expression(Values data, Index at, double time)
   return expression_value(data, at, time);
 }
 
-Vector3 curve_distance(Table pieces, bool closed, Values memory, double x, double y)
-{
-  const CurveDistance found = distance_from_curve(pieces.all(), {x, y}, closed, memory.data);
-  return {found.normal.x, found.normal.y, found.distance};
-}
-
-std::pair<double, double> nearest_to_path(
-  Table pieces, double start_x, double start_y, double end_x, double end_y)
-{
-  const ChordDistance found = nearest_to_chord(
-    pieces.all(), {start_x, start_y}, {end_x, end_y});
-  return {found.distance, found.along};
-}
-
 bool call_routine(Indices table, Index which, Values q, Values qd)
 {
   require_routines(table, which, 1);
@@ -299,8 +283,7 @@ void check_samples(RunObject & of, double tolerance, Table states, Indices fine)
 
 // What signatures say in numbers.
 static_assert(
-  cut::MOTION_COLUMNS == 3 && MOST_COORDINATES == 16 && present::PRESENT_COLUMNS == 12 &&
-  curve::COLUMNS == 8 && LANES == 8);
+  cut::MOTION_COLUMNS == 3 && MOST_COORDINATES == 16 && LANES == 8);
 
 const Entry entries[] = {
   entry<make<
@@ -349,7 +332,6 @@ const Entry entries[] = {
   entry<loop_units>("loop_units(places[C], jac[C,V], rows[C], columns[V]): what each is counted in"),
   entry<generalized_inertia_matrix>("generalized_inertia_matrix(work, gim[V,V])"),
   entry<cut_wrenches>("cut_wrenches(work, body[B,>=D], lam[C], out[K,W])"),
-  entry<joint_wrenches>("joint_wrenches(work, qdd[V], lam[C], wrench[B,2*W])"),
   entry<tree_torque>("tree_torque(work, qdd[V], out[V])"),
   entry<to_user_order>("to_user_order(ordered[C], out[C])"),
   entry<forward_dynamics>("forward_dynamics(work, q[Q], qd[V], tau[V], qdd[V], lam[C])"),
@@ -369,7 +351,6 @@ const Entry entries[] = {
     "measure_cut_coordinates(body[B,>=D], position[n>=G], velocity[n]): the last places of these"),
   entry<cut_accelerations>("cut_accelerations(model, work, qdd, whole, out[>=T])"),
   entry<cut_axis>("cut_axis(body[B,>=D], k<G): in the world"),
-  entry<minimise_in_box>("minimise_in_box(count<=F, out[>=count])"),
 
   entry<views<System>, KEEPS>("views(): of its arrays, by name"),
   entry<make<System, const System &, const Model &, const Model &, Indices>>("with_equations(model, all, code): of the same state and effects"),
@@ -473,7 +454,6 @@ const Entry entries[] = {
   entry<&In<&Run::balance>::call>("balance(): of energy"),
   entry<&In<&Run::record_energy>::call>(
     "record_energy(): the balance, compared without a finding"),
-  entry<&Of<&Run::record_loss>::call>("record_loss(lost, energy, rounding, time)"),
   entry<&In<&Run::check_energy>::call>("check_energy(): as of advance_run"),
   entry<&Of<&Run::jump>::call>("jump(): the state or an effect has been changed"),
   entry<&In<&Run::jump_balance>::call>("jump_balance(energy): changed from outside"),
@@ -487,18 +467,12 @@ const Entry entries[] = {
   entry<set_stop>("set_stop(0<=stops<=1): whether the threads that heed it are to stop"),
   entry<heed>("heed(flag): from now on in this thread; returns the flag heeded before"),
   entry<largest>("largest(values): largest absolute value"),
-  entry<sum_of_sizes>("sum_of_sizes(values)"),
   entry<fill_quaternions>("fill_quaternions(matrices[n,3,3], out[n,4])"),
   entry<value_of_expression>("expression_value(data, at, time)"),
   entry<keep_law>(
     "keep_law(address>=1, joints<=16, bodies>=0, states>=0, numbers>=0, listed>=0, spatial): what a "
     "row must have for the law at an address"),
   entry<library_function>("library_function(which): address of a function for generated code"),
-  entry<curve_distance>(
-    "curve_distance(pieces[>=1,8], closed, memory[>=12], x, y): normal to the free side, and the "
-    "distance"),
-  entry<nearest_to_path>(
-    "nearest_to_path(pieces[n,8], start_x, start_y, end_x, end_y): distance from a curve, and where"),
   entry<correct_errors>(
     "correct_errors(covariance[n,n], slope[m,n], residual[m], noise[m], first<=m[sensors>=1], "
     "gate[sensors-1], spread[m,m], factors[m,m], squares[sensors-1], whitened[m,n], white[m], "

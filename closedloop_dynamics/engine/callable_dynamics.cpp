@@ -75,7 +75,7 @@ public:
   }
 
 private:
-  /// Of changes of displacements, rates and torques.
+  /// Lengths of the changes of displacements, rates and torques.
   Index length(Index array) const {return array < 2 ? qdd_.size : actuated_.size;}
 
   /// Call a function with each derivative: number of the result, array and place of the input, value.

@@ -17,7 +17,7 @@
 namespace closedloop
 {
 
-/// Which coordinates are independent, and scratch (integration/stepped_run.py).
+/// Which coordinates are independent, and scratch (simulation/stepped_run.py).
 struct Chart
 {
   Indices independent;  ///< Shape (k,)

@@ -107,7 +107,7 @@ enum Array : Index
 };
 }
 
-/// Of the table of a law's row what that of a mechanism does not have.
+/// Columns that the table of a law's row has beside those of a mechanism's.
 namespace law_routine
 {
 enum : Index {STATES = 49, OUTPUT, COUNT, RIGHT_SIDE, LAW_COLUMNS};

@@ -305,7 +305,7 @@ Trial push(const EffectTable & effects, double size, double share)
   const double begin_share = search[contact::SHARES];
   const double length = search[contact::SHARES + top] - begin_share;
   const double along = (share - begin_share) / length;
-  // Of the error within the interval, and how much of it is left in its parts.
+  // Shape of the error within the interval, and how much of it is left in its parts.
   const double shape = along * (1.0 - along), longer = std::max(along, 1.0 - along);
   const double longer_square = longer * longer;
   double earliest = 1.0;

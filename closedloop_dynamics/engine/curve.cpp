@@ -158,7 +158,7 @@ struct NearChord
   double square;
   Index piece;
 
-  /// Of equals the earlier one is nearer: the same wherever the search begins.
+  /// The earlier of two equals is nearer: the same wherever the search begins.
   bool operator<(const NearChord & other) const
   {
     return square < other.square || (square == other.square && piece < other.piece);

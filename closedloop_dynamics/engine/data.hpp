@@ -26,7 +26,7 @@ struct Settings
   /// How far beside a state the rank-revealing path asks the branch [rad]. The eighth power of this
   /// is the error of the interpolation between such places.
   double aside = 0.015;
-  /// Of the mechanism [m].
+  /// Size of the mechanism [m].
   double size = 1.0;
   /// Closure error of equations that are left out up to which they repeat others.
   double opening = 0.0;
@@ -48,7 +48,7 @@ struct AllEquations
   /// On the bodies of the system.
   Workspace work;
   Array<Values> lam;
-  /// Of each equation, in the user's order: whether the elimination works on it.
+  /// Whether the elimination works on each equation, in the user's order.
   Array<Indices> kept;
   /// On bodies of its own.
   Workspace own;
@@ -70,9 +70,9 @@ struct AllEquations
 /// user's order.
 struct JointPlaces
 {
-  /// Of the joints of the tree: the row of the body that each carries.
+  /// The row of the body that each joint of the tree carries.
   Array<Indices> row;
-  /// Of all, shape (n, 2): rows of the two bodies.
+  /// Rows of the two bodies of all joints, shape (n, 2).
   Array<Indexes> body;
   /// Shape (2 n, 2 or 3): the joint's point on the one and on the other body [m].
   Array<Table> point;
@@ -128,19 +128,19 @@ struct Data
 {
   Model model;
   Workspace work;
-  /// Of no length where independent coordinates are not used.
+  /// Empty where independent coordinates are not used.
   Partition partition;
   std::shared_ptr<Settings> settings;
   /// Shape (nv + nk,): commanded joint torques [N m] and forces [N], behind them those of the nk cut
   /// joints that anything acts in.
   Array<Values> tau;
-  /// Of the latest evaluation.
+  /// Results of the latest evaluation.
   Array<Values> qdd;
   Array<Values> lam;
   /// Shape (nv,): joint torques of commands and effects.
   Values applied;
   EffectTable effects;
-  /// Of the routines that are generated for this mechanism.
+  /// Addresses of the routines that are generated for this mechanism.
   Array<Indices> table;
   /// Shape (2, nv): of coordinates and rates, as generated routines leave them; of no columns where
   /// there are no such routines.
@@ -151,7 +151,7 @@ struct Data
   AllEquations whole;
   JointPlaces joints;
   AccelerationDerivatives derivatives;
-  /// Of evaluations from places around a singular position: the largest closure error of a state
+  /// Evaluations from places around a singular position: the largest closure error of a state
   /// between these [m], and its coordinates, shape (1 + nq,); 0: none since the last reset.
   Array<Values> passage;
   /// What owns the arrays of the derivatives.

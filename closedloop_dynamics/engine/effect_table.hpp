@@ -99,7 +99,7 @@ struct StaticFriction
   Array<Values> bound;
   Array<Values> move;
   Array<Table> factor;
-  /// Of the active set.
+  /// The active set.
   Array<Indices> free;
   /// Friction relative to its limit.
   Array<Values> share;
@@ -121,7 +121,7 @@ struct StaticFriction
 /// Gaps of possible contacts, and the decisions about them while a step is made.
 struct Contacts
 {
-  /// Of the effects that are contacts.
+  /// Rows of the effects that are contacts.
   Array<Indices> rows;
   /// Shape (ne,).
   Array<Indices> mode;
@@ -193,7 +193,7 @@ struct EffectElement
   Values values;
   Values numbers;
   Index entries;
-  /// Of the states that it adds: sizes for error control, and their start.
+  /// The states that it adds: sizes for error control, and their start.
   Values scale;
   Values initial;
   /// Whether the law acts along the sum of its joints, whose arms are the first entry.
@@ -220,7 +220,7 @@ struct EffectTable
   Array<Indices> role;
   Array<Indices> routine;
   Array<Indices> enabled;
-  /// Of each effect: first own state; where its places begin among those of all; how many joints and
+  /// Each effect: first own state; where its places begin among those of all; how many joints and
   /// bodies; whether it is summed and wants the reaction; where its numbers begin among those of
   /// all, and how many entries they are; what its gap is.
   Array<Indices> first_state;

@@ -13,7 +13,7 @@ namespace
 // A pivot below this is small in the mass metric: next to a singular configuration, but also where
 // links differ much in mass. Refinement then judges by the geometry.
 constexpr double SMALL_PIVOT = 1e-3;
-// Of many joints in a row small pivots are the size, not the configuration: the smallest one of a
+// In long chains small pivots show the size, not the configuration: the smallest one of a
 // regular ladder or chain is 0.3 / nv or 0.9 / nv. From so many joints on the limit falls likewise.
 constexpr double MANY_JOINTS = 100.0;
 }  // namespace

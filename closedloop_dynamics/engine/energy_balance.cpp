@@ -90,7 +90,7 @@ Energies balance_of(
     present.dissipated += role == DISSIPATED ? value : 0.0;
     done += role == WORK ? value : 0.0;
   }
-  // Of torques on rotations, which the state has behind all others.
+  // Work of torques on rotations, which is the last number of the state.
   const double turned = system.manifold.empty() ? 0.0 : state[state.size - 1];
   present.work = account.held_work + done + turned;
   present.residual = present.kinetic + present.stored + present.dissipated - present.work -

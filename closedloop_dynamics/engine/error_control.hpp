@@ -85,7 +85,7 @@ inline bool is_before(double time, double target)
 class WorkLimit
 {
 public:
-  /// Of a run that made `evaluations` so far and may make so many more.
+  /// The limit of a run that made `evaluations` so far and may make so many more.
   WorkLimit(const Grid & grid, const Values & health, double evaluations, double most)
   : grid_(grid), health_(health), since_(work(evaluations)), most_(most) {}
 

@@ -265,7 +265,7 @@ private:
   Indices actuated_, passive_;
   /// Forces that torques have to give.
   Values left_;
-  /// Of the passive joints; where multipliers are unique their LU factors, with the pivots.
+  /// Levers of the passive joints; where multipliers are unique their LU factors, with the pivots.
   Table levers_;
   Values right_;
   Scratch<Index, FEW> of_pivots_;

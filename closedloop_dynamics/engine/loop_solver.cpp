@@ -54,7 +54,7 @@ void Loops::check(const Manifold & manifold) const
       measured.begin(), measured.end(),
       [&](Index freedom) {return manifold.place[freedom] >= 0;}))
   {
-    throw std::invalid_argument("loops: expected to measure freedoms of a number each");
+    throw std::invalid_argument("loops: expected to measure coordinates that are one number each");
   }
 }
 

@@ -95,7 +95,7 @@ Index check_cuts(const Model & model)
   return nc;
 }
 
-/// Of each cut joint, in the order of elimination, the later ones that the factor joins it to:
+/// For each cut joint, in the order of elimination, the later ones that the factor joins it to:
 /// those on the same subsystems, and the fill-in.
 std::vector<std::set<Index>> structure_of(const Model & model)
 {

@@ -40,22 +40,22 @@ struct Model
   Array<Table> body;
   /// Shape (2,), in space (3,): [m/s^2].
   Array<Values> gravity;
-  /// Of each cut joint: topology, and which of its equations the elimination works on.
+  /// Topology of each cut joint, and which of its equations the elimination works on.
   Array<Indexes> cut;
-  /// Of each cut joint: constants.
+  /// Constants of each cut joint.
   Array<Table> cut_point;
   /// The body of every path entry: a place on the path of a cut force.
   Array<Indices> path_body;
   /// Off-diagonal blocks of the constraint matrix: (path entry of the later cut, that of the
   /// earlier) that share a body, with the rows of both cuts packed in `block`.
   Array<Indexes> pair;
-  /// Of each block below the diagonal: (later cut, earlier cut, first pair, last pair + 1).
+  /// Each block below the diagonal: (later cut, earlier cut, first pair, last pair + 1).
   Array<Indexes> block;
   /// First entry of each column of the factor L, which includes its diagonal; shape (nc + 1,).
   Array<Indices> column;
   /// Row of each entry of L, in elimination order.
   Array<Indices> row;
-  /// Of each block: place in L of its first entry, for each of the earlier cut's columns.
+  /// Index in L of the first entry of each block, for each of the earlier cut's columns.
   Array<Indexes> entry;
   /// First entry in `dependency_place` of each row; shape (nc + 1,).
   Array<Indices> dependency;
@@ -71,7 +71,7 @@ struct Model
   Model(
     Matrix<const Index> tree, Matrix<const double> body, Vector<const double> gravity,
     Matrix<const Index> cut, Matrix<const double> cut_point, Vector<const Index> path_body);
-  /// Of the same memory, but for the equations that are worked on; throws std::invalid_argument.
+  /// A model of the same memory but for the equations worked on; throws std::invalid_argument.
   Model(const Model & like, Matrix<const Index> cut);
 
   CutParts parts(Index a) const

@@ -12,8 +12,8 @@ namespace closedloop
 
 namespace
 {
-// More pieces than any run passes.
-constexpr double MOST_PIECES = 1e15;
+// More segments than any run passes.
+constexpr double MOST_SEGMENTS = 1e15;
 
 // Operations of an expression: a number, the time, of one number, of two numbers; those of
 // effects/expression.py.
@@ -67,29 +67,29 @@ double of_two(Index operation, double x, double y)
 }
 }  // namespace
 
-Index piece_number(double state)
+Index segment_number(double state)
 {
-  // Of a state that has diverged any piece will do: its time has, too.
-  return std::fabs(state) < MOST_PIECES ? static_cast<Index>(std::floor(state + 0.5)) : 0;
+  // Any segment will do for a state that has diverged: its time has, too.
+  return std::fabs(state) < MOST_SEGMENTS ? static_cast<Index>(std::floor(state + 0.5)) : 0;
 }
 
 PresentPiece present_piece(const EffectTable & table, Index row, double period)
 {
   const Index state = table.first_state[row], count = table.entries[row];
-  Index number = piece_number(table.states[state + 1]), cycle = 0;
+  Index number = segment_number(table.states[state + 1]), cycle = 0;
   if (period > 0.0) {
     cycle = floor_divide(number, count);
   } else {
-    // A state that has diverged must not read beyond the pieces.
+    // A state that has diverged must not read beyond the segments.
     number = std::max<Index>(0, std::min(number, count - 1));
   }
   const Index at = table.first_number[row] + profile::COLUMNS * (number - cycle * count);
   return {table.data.data + at, period > 0.0 ? cycle * period : 0.0};
 }
 
-double end_of_piece(const EffectTable & table, Index row, double period, Index piece)
+double end_of_segment(const EffectTable & table, Index row, double period, Index segment)
 {
-  const Index count = table.entries[row], following = piece + 1;
+  const Index count = table.entries[row], following = segment + 1;
   Index cycle = 0;
   if (period > 0.0) {
     cycle = floor_divide(following, count);

@@ -6,12 +6,12 @@
 
 #include "effect_table.hpp"
 
-// Functions of the time: chains of pieces, each a polynomial and a sine,
+// Functions of the time: chains of segments, each a polynomial and a sine,
 //
-//     y(t) = c0 + u (c1 + ... u c5) + a sin(w u + p),     u = t - (start of the piece),
+//     y(t) = c0 + u (c1 + ... u c5) + a sin(w u + p),     u = t - (start of the segment),
 //
 // and expressions, as operations on a stack. The first two states of an effect with such a chain
-// are the time and the number of the present piece, counted on through all periods.
+// are the time and the number of the present segment, counted on through all periods.
 
 namespace closedloop
 {
@@ -21,26 +21,26 @@ constexpr double SAME_TIME = 1e-12;
 
 namespace profile
 {
-/// Numbers of a piece: its start [s], c0 to c5, a, w, p.
+/// Numbers of a segment: its start [s], c0 to c5, a, w, p.
 constexpr Index COLUMNS = 10;
 }
 
-/// The present piece of a profile, and when its period began [s].
+/// The present segment of a profile, and when its period began [s].
 struct PresentPiece
 {
-  const double * piece;
+  const double * segment;
   double period_start;
 };
 
-/// The present piece of an effect's profile, by its states; `period` [s]: zero if not periodic.
+/// The present segment of an effect's profile, by its states; `period` [s]: zero if not periodic.
 PresentPiece present_piece(const EffectTable &, Index row, double period);
 
-/// Number of a piece from the state that counts them: whole but for the differences that stiff
+/// Number of a segment from the state that counts them: whole but for the differences that stiff
 /// methods take.
-Index piece_number(double state);
+Index segment_number(double state);
 
-/// When a piece of a profile ends [s]; infinity where it is the last one.
-double end_of_piece(const EffectTable &, Index row, double period, Index piece);
+/// When a segment of a profile ends [s]; infinity where it is the last one.
+double end_of_segment(const EffectTable &, Index row, double period, Index segment);
 
 /// Value at a time of the expression whose entry begins at a place of the data, with the room for its
 /// stack.

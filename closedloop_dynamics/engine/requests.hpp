@@ -11,7 +11,7 @@
 namespace closedloop
 {
 
-/// A state that is evaluated beside the run (integration/evaluation.py).
+/// A state that is evaluated beside the run (simulation/evaluator.py).
 struct Request
 {
   Values state;

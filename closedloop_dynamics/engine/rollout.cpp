@@ -37,7 +37,7 @@ void record(const System & system, Values state, const RunBuffer & buffer, Index
 {
   const Workspace & work = system.work;
   copy(state, buffer.state[instant]);
-  // Of mechanisms in space the states alone are kept.
+  // In space the states alone are kept.
   if (buffer.qdd.rows == 0) {
     return;
   }

@@ -87,7 +87,7 @@ bool differentiate(const System & system, Values state, Values moved, Table matr
 {
   const AccelerationDerivatives & code = system.derivatives;
   const Index nv = system.nv(), columns = 2 * nv;
-  // Of quaternions each number is a state.
+  // Each number of a quaternion is a state.
   if (code.empty() || !system.manifold.empty() || system.is_independent() ||
     system.settings->baumgarte_gain != 0.0)
   {

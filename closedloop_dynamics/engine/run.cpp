@@ -275,7 +275,7 @@ void Run::keep(const System & system, Values state, std::vector<double> & kept)
   write_whole(system, state, view(kept));
 }
 
-/// Of a run in which joints feel so much force, by size.
+/// Scale of energies of a run in which joints feel so much force, by size.
 double Run::energy_scale(const System & system, double felt) const
 {
   const double extent = limits_.extent;

@@ -93,8 +93,8 @@ struct RunReport
   double time = 0.0;  ///< [s]
   Status status = Status::DONE;  ///< Of the steps that failed
   double size = 0.0;  ///< Of the present steps [s]
-  /// Of the closure equations that are to be chosen: whether they are to be looked for around the
-  /// position, too, as loops may have opened, and whether those in use may be kept.
+  /// Whether the closure equations that are to be chosen are to be looked for around the
+  /// position, too, as loops may have opened; whether those in use may be kept.
   bool nearby = false;
   bool or_these = false;
   /// Cost of steps: time simulated [s], steps, wall time and, if measured, CPU time of the thread [s].
@@ -235,13 +235,9 @@ public:
   void jump_balance(const System &, Values state, double energy);
   /// Restart the guards.
   void restart_guards();
-  void record_loss(double lost, double energy, double rounding, double time)
-  {
-    report_.energy.record(lost, energy, rounding, time);
-  }
   /// Write the columns of a finding.
   void write_finding(Values found) const;
-  /// Of the steps that failed.
+  /// Status of the steps that failed.
   Status status() const {return report_.status;}
   /// Check a state that was made elsewhere, after so many steps, with the work of its torques [J]: its
   /// loops and, if requested, its energy, with `stored` energies unless that is nullptr.
@@ -281,7 +277,7 @@ private:
   double time_base_ = 0.0;
   Index steps_ = 0;
 
-  /// Of the present call: steps left and all of them, the portion that failed and the time by which it
+  /// Present call: steps left and all of them, the portion that failed and the time by which it
   /// advanced [s]; the checks that are due.
   Index left_ = 0;
   Index call_ = 0;

@@ -14,7 +14,7 @@
 namespace closedloop
 {
 
-/// An explicit Runge-Kutta method (integration/tableau.py).
+/// An explicit Runge-Kutta method (scene/tableau.py).
 struct Tableau
 {
   Table a;

@@ -14,7 +14,7 @@ namespace closedloop
 
 namespace
 {
-/// Bring the present piece of a profile up to the time.
+/// Bring the present segment of a profile up to the time.
 void take_piece(const EffectTable & table, Index row)
 {
   const Values values = table.values[row], held = table.code.present[row];
@@ -34,7 +34,7 @@ void take_piece(const EffectTable & table, Index row)
     const PresentPiece found = present_piece(table, row, values[0]);
     held[present::NUMBER] = table.states[state + 1];
     held[present::PERIOD_START] = found.period_start;
-    std::copy(found.piece, found.piece + profile::COLUMNS, &held[present::PIECE_START]);
+    std::copy(found.segment, found.segment + profile::COLUMNS, &held[present::PIECE_START]);
   }
 }
 }  // namespace

@@ -17,13 +17,13 @@ constexpr Index held_at_once(Index frictions) {return frictions == 2 ? 2 : 1;}
 
 /// Index of the routine of that code for the present states of the effects; negative where there is
 /// none: effects have other laws, one is disabled, or friction depends on reactions. Finds the
-/// pieces of profiles and modes of contacts for that code.
+/// segments of profiles and modes of contacts for that code.
 Index prepare_code(const EffectTable &);
 
 /// Hand the modes of contacts over to generated code.
 void store_sides(const EffectTable &);
 
-/// Bring the present pieces of all profiles up to the time.
+/// Bring the present segments of all profiles up to the time.
 void take_pieces(const EffectTable &);
 
 }  // namespace closedloop

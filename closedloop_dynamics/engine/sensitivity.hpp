@@ -17,7 +17,7 @@
 namespace closedloop
 {
 
-/// How a run is made (integration/sensitivity.py).
+/// How a run is made (simulation/stepped_run.py).
 struct SteppedRun
 {
   /// Without weights: semi-implicit Euler.
@@ -85,7 +85,7 @@ struct StepRoutines
 /// The same routines for LANES directions or weights side by side, number k of lane n at k LANES + n.
 struct LaneRoutines
 {
-  /// Of a routine `which`: at 2 `which` what all directions share, at 2 `which` + 1 the rest. Behind
+  /// Addresses: at 2 `which` the part that all directions share, at 2 `which` + 1 the rest. Behind
   /// it there may be a table of others, for positions in which those of the first one fail.
   Indices table;
   Values shared;  ///< What the former hands to the latter

@@ -118,7 +118,7 @@ private:
     ahead_ = 0;
   }
 
-  // Of the present item; throw std::invalid_argument with what is expected and what there is.
+  // They check the present item; std::invalid_argument names what is expected and what there is.
   /// Check a number, known by its name from now on.
   void check(Index number)
   {
@@ -187,7 +187,7 @@ private:
   bool is_plain_;
   void * object_ = nullptr;
   Index (* count_)(void *, char) = nullptr;
-  /// Of numbers: at least, or more than, or less than.
+  /// Bounds of numbers: at least, or more than, or less than.
   double least_ = 0.0;
   double bound_ = 0.0;
   bool is_least_ = false;

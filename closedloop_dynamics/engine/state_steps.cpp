@@ -63,7 +63,7 @@ Status fill_jacobians(
   for (Index row = 0; row < 2 * k; ++row) {
     const Index joint = chart.independent[row % k];
     if (row < k) {
-      // Of a quaternion a small turn is twice the vector part of what it is multiplied by.
+      // A small turn is twice the vector part of the quaternion that is multiplied.
       const bool turns = !system.manifold.empty() && system.manifold.place[joint] < 0;
       place_change(system, chart, system.q(end), joint, turns ? 4.0 : 1.0);
       for (Index i = 0; i < nq; ++i) {

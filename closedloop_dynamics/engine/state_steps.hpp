@@ -26,7 +26,7 @@ struct WideInputs : RunInputs
   }
 };
 
-/// States before and after a period, a row or page for each (integration/stepped_run.py).
+/// States before and after a period, a row or page for each (simulation/stepped_run.py).
 struct StateSteps
 {
   Table q;  ///< Shape (n, nq): before

@@ -26,7 +26,7 @@
 //    is the memory, by which a run that was saved goes on to the last bit: `memory` visits it.
 // 5. `rewind`: as after construction, so that a motion repeated is the same to the last bit.
 // 6. `report`: what it knows of its steps; NaN where it knows nothing.
-// 7. Its name is a line in stepper.cpp, and with a summary for people in integration/registry.py.
+// 7. Its name is a line in stepper.cpp, and with a summary for people in scene/integrators.py.
 
 namespace closedloop
 {
@@ -60,7 +60,7 @@ struct StepReport
   double rejected = UNKNOWN;
   double local_error = UNKNOWN;  ///< Largest estimate of an accepted step [rad or m]
   double work = UNKNOWN;  ///< Evaluations
-  /// Of the default method: evaluations of its reference run; the accuracy that is kept, and the
+  /// The default method: evaluations of its reference run; the accuracy that is kept, and the
   /// tolerance for it; bounds of the error within a second, the largest and that of the latest one
   /// [rad or m]; whether the stiff method, or the one of lower order, makes the present step.
   double reference_work = UNKNOWN;

@@ -31,7 +31,7 @@ double time_to_next_corner(const EffectTable & effects, Values own)
     if (follows_time(effects, row)) {
       const Index state = effects.first_state[row];
       const double end =
-        end_of_piece(effects, row, effects.values(row, 0), piece_number(own[state + 1]));
+        end_of_segment(effects, row, effects.values(row, 0), segment_number(own[state + 1]));
       wait = std::min(wait, end - own[state]);
     }
   }
@@ -44,11 +44,11 @@ void handle_time_events(const EffectTable & effects, Values own)
     if (follows_time(effects, row)) {
       const Index state = effects.first_state[row];
       const double limit = own[state] + SAME_TIME * std::max(1.0, std::abs(own[state]));
-      Index piece = piece_number(own[state + 1]);
-      while (end_of_piece(effects, row, effects.values(row, 0), piece) <= limit) {
-        ++piece;
+      Index segment = segment_number(own[state + 1]);
+      while (end_of_segment(effects, row, effects.values(row, 0), segment) <= limit) {
+        ++segment;
       }
-      own[state + 1] = static_cast<double>(piece);
+      own[state + 1] = static_cast<double>(segment);
     }
   }
 }

@@ -16,7 +16,7 @@ namespace closedloop
 /// Time until the next corner, from a state's own part, shape (nz,) [s]; infinity if there is none.
 double time_to_next_corner(const EffectTable &, Values own);
 
-/// Begin the next pieces after a step that has ended at a corner; corrected in place.
+/// Begin the next segments after a step that has ended at a corner; corrected in place.
 void handle_time_events(const EffectTable &, Values own);
 
 }  // namespace closedloop

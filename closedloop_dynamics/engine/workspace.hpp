@@ -21,11 +21,11 @@ struct Workspace
   /// Entries of the constraint matrix, then of its factor L; what its pivots are compared with.
   Array<Values> factor;
   Array<Values> scale;
-  /// Of each row of a cut, the levers on the bodies' angles, and on the slides.
+  /// Levers of each row of a cut on the bodies' angles, and on the slides.
   Array<Table> lever;
   /// What refinement.cpp keeps of every joint.
   Array<Table> joint;
-  /// Of the accelerations, the latest.
+  /// The latest change of the accelerations.
   Array<Values> change;
   Array<Values> pivot_inverse;
   /// Right-hand side, then solution, in elimination order.
@@ -35,7 +35,7 @@ struct Workspace
   Array<Values> closure;
   Array<Values> closure_rate;
   Array<Values> bias;
-  /// Of one cut joint, as loop_closure.cpp leaves it.
+  /// Equations of one cut joint, as loop_closure.cpp leaves them.
   Array<Values> equation;
   /// On their way inward; shape (2, 3 or 6).
   Array<Table> wrench;
@@ -79,7 +79,7 @@ struct Partition
   Array<Table> matrix;
   Array<Indices> pivots;
   Array<Values> right;
-  /// Of the coordinates; zero for the independent ones.
+  /// Change of the coordinates; zero for the independent ones.
   Array<Values> change;
   /// As of independent.cpp.
   Array<Values> record;

@@ -32,7 +32,7 @@ from ..scene.records import Method
 from ..simulation.model import Model
 
 EXTENDED, SIGMA_POINTS = 'extended', 'sigma_points'
-# Of good readings so many are used.
+# Share of good readings that is used.
 GATE = 0.9999
 
 

@@ -105,7 +105,7 @@ class Columns:
         self.suspects = tuple((one, name) for group in (numbers[1], errors[1]) for one in group
                               for name in one.components)
         self.all = not len(self.suspected)
-        #: Of these, those that are numbers, and no errors of sensors.
+        #: Those of them that are numbers, not errors of sensors.
         self.numbers_known, self.numbers_suspected = (
             part[part < self.count] for part in (self.known, self.suspected))
 
@@ -244,7 +244,7 @@ class Filter:
         """Return the covariance of what the noise of a period adds, shape (size, size)."""
         noise, k = self.noise, states // 2
         pushed = bool(noise.torque and by_torque.size)
-        # Of accelerations and walks it is the same in each period of a length.
+        # The noise of accelerations and walks is the same in all periods of one length.
         found = None if pushed else self._noises.get(period)
         if found is not None:
             return found
@@ -449,6 +449,6 @@ def _corrected(covariance: np.ndarray, slope: np.ndarray, residual: np.ndarray,
             covariance, slope, residual, noise, layout.first, layout.gates, spread, factors,
             squares, whitened, white, others, change, after):
         raise EstimationError(
-            'The covariance of readings is not positive definite: what is thought has become '
-            'worse than rounding. Give the sensors larger deviations, or the start smaller ones.')
+            'The covariance of readings is not positive definite: rounding errors are larger '
+            'than the noise. Give the sensors larger deviations, or the start smaller ones.')
     return squares, white, spread, whitened, change, after

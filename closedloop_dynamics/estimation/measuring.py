@@ -49,7 +49,7 @@ class View:
             data = plant.kinematic
             self.acceleration, lam = data.forward_dynamics(self.q, self.qd, torque)
             if len(lam) > len(data.system.lam):
-                # Of the equations that are not left out, on which the derivatives are.
+                # Multipliers of the equations that are not left out, as for the derivatives.
                 lam = data.system.lam.copy()
             self._seen = self._code()(self.q, self.qd, self.acceleration, lam, plant.seeds(
                 self.q, self.basis, self.numbers))
@@ -115,7 +115,7 @@ class Measuring:
         for one in sensors:
             with at('sensors', one.name):
                 self._readers[one.name] = self._reader(one)
-        # Of plain sensors, numbers of the tree: their places in (q, qd), and in the basis.
+        # Plain sensors measure numbers of the tree: their indices in (q, qd), and in the basis.
         self._plain: Dict[str, Tuple[int, int]] = {}
         self._chosen: Dict[Tuple[str, ...], Any] = {}
         for one in sensors:
@@ -238,7 +238,7 @@ class Measuring:
         axes = np.eye(3) if b is None else self._axes_of(freedom.bodies[1])
 
         def rate(view: View) -> Tuple[np.ndarray, np.ndarray]:
-            # Of body A beside B, along an axis of B.
+            # The rate of body A relative to B, along an axis of B.
             axis, turns = axes @ freedom.axis, np.zeros((3, view.basis.shape[1]))
             if b is not None:
                 axis, turns = view.seen.axes[0][b] @ axis, np.einsum(
@@ -283,7 +283,7 @@ class Measuring:
         def pose(view: View) -> Tuple[np.ndarray, np.ndarray]:
             (place, places), (turned, turns) = ([part[number] for part in pair] for pair in (
                 view.seen.place, view.seen.axes))
-            # Of orientations the slope is by turns about the world's axes.
+            # The slope of an orientation is by turns about the world's axes.
             rates = _turns(turned, turns)
             frame = turned @ axes
             if planar:

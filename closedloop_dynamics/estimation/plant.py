@@ -340,7 +340,7 @@ class PointsPlant(Plant):
         self._run = Simulation(self.model, None, self.scene.with_method(method).method)
         self.simulation = self._run.data
         self.arrays = parameter_arrays(self.simulation, self.keys)
-        # Of friction, which way joints slide.
+        # Whether friction of each joint knows the direction in which it slides.
         self._rubbing = np.zeros(len(self.own), dtype=bool)
         table = self.simulation.system.effects
         for row in [] if table is None else table.rows:

@@ -10,8 +10,8 @@ one that stays silent for longer is reported (``Consistency.silent``). What a se
 to the truth for longer, a bias or a scale, is an unknown (``unknowns``).
 """
 
-from dataclasses import dataclass
-from typing import Any, ClassVar, Optional, Tuple, Union
+from dataclasses import dataclass, KW_ONLY
+from typing import Any, ClassVar, Dict, Optional, Tuple, Union
 
 from ..mechanism.checks import (
     freedom, name, not_negative, number, one_of, one_or_several, orientation, positive, vector)
@@ -53,8 +53,13 @@ class Sensor:
     #: Names of the numbers of a reading in the plane, and in space.
     PLANE: ClassVar[Tuple[str, ...]] = ('',)
     SPACE: ClassVar[Tuple[str, ...]] = ('',)
+    #: Checks of the fields of a kind.
+    CHECKS: ClassVar[Dict[str, Any]] = {}
 
     name: str
+    _: KW_ONLY
+    rate: Optional[float] = None
+    latency: float = 0.0
 
     def components(self, planar: bool) -> Tuple[str, ...]:
         """Return the names of the numbers of a reading; one empty name for a single number."""
@@ -66,7 +71,7 @@ class Sensor:
 
     def __post_init__(self) -> None:
         """Refuse impossible numbers."""
-        normalise(self, name=name, rate=_optional(positive), latency=_latency)
+        normalise(self, name=name, rate=_optional(positive), latency=_latency, **self.CHECKS)
 
 
 @dataclass(frozen=True)
@@ -87,17 +92,12 @@ class JointSensor(Sensor):
 
     """
 
+    CHECKS = {'joint': freedom, 'deviation': positive,
+              'quantity': one_of((POSITION, RATE, TORQUE))}
+
     joint: str = ''
     deviation: float = 0.0
     quantity: str = POSITION
-    rate: Optional[float] = None
-    latency: float = 0.0
-
-    def __post_init__(self) -> None:
-        """Refuse impossible numbers."""
-        super().__post_init__()
-        normalise(self, joint=freedom, deviation=positive,
-                  quantity=one_of((POSITION, RATE, TORQUE)))
 
 
 @dataclass(frozen=True)
@@ -121,20 +121,14 @@ class ImuSensor(Sensor):
 
     PLANE = 'spin', 'x', 'y'
     SPACE = 'spin_x', 'spin_y', 'spin_z', 'x', 'y', 'z'
+    CHECKS = {'body': name, 'gyroscope': positive, 'accelerometer': positive, 'position': vector,
+              'mounting': one_or_several(number, orientation)}
 
     body: str = ''
     gyroscope: float = 0.0
     accelerometer: float = 0.0
     position: Tuple[float, ...] = (0.0, 0.0)
     mounting: Any = 0.0
-    rate: Optional[float] = None
-    latency: float = 0.0
-
-    def __post_init__(self) -> None:
-        """Refuse impossible numbers."""
-        super().__post_init__()
-        normalise(self, body=name, gyroscope=positive, accelerometer=positive, position=vector,
-                  mounting=one_or_several(number, orientation))
 
     def deviations(self, planar: bool) -> Tuple[float, ...]:
         """Return the standard deviations of the numbers of a reading."""
@@ -158,16 +152,10 @@ class PointSensor(Sensor):
 
     PLANE = 'x', 'y'
     SPACE = 'x', 'y', 'z'
+    CHECKS = {'point': name, 'deviation': positive}
 
     point: str = ''
     deviation: float = 0.0
-    rate: Optional[float] = None
-    latency: float = 0.0
-
-    def __post_init__(self) -> None:
-        """Refuse impossible numbers."""
-        super().__post_init__()
-        normalise(self, point=name, deviation=positive)
 
 
 @dataclass(frozen=True)
@@ -187,17 +175,11 @@ class PoseSensor(Sensor):
 
     PLANE = 'x', 'y', 'angle'
     SPACE = 'x', 'y', 'z', 'turn_x', 'turn_y', 'turn_z'
+    CHECKS = {'body': name, 'deviation': positive, 'angle': positive}
 
     body: str = ''
     deviation: float = 0.0
     angle: float = 0.0
-    rate: Optional[float] = None
-    latency: float = 0.0
-
-    def __post_init__(self) -> None:
-        """Refuse impossible numbers."""
-        super().__post_init__()
-        normalise(self, body=name, deviation=positive, angle=positive)
 
     def deviations(self, planar: bool) -> Tuple[float, ...]:
         """Return the standard deviations of the numbers of a reading."""
@@ -222,17 +204,11 @@ class ForceSensor(Sensor):
 
     PLANE = 'x', 'y'
     SPACE = 'x', 'y', 'z'
+    CHECKS = {'joint': name, 'deviation': positive, 'axes': one_of((WORLD, BODY))}
 
     joint: str = ''
     deviation: float = 0.0
     axes: str = WORLD
-    rate: Optional[float] = None
-    latency: float = 0.0
-
-    def __post_init__(self) -> None:
-        """Refuse impossible numbers."""
-        super().__post_init__()
-        normalise(self, joint=name, deviation=positive, axes=one_of((WORLD, BODY)))
 
 
 @dataclass(frozen=True)
@@ -249,13 +225,9 @@ class WrenchSensor(ForceSensor):
 
     PLANE = 'moment', 'x', 'y'
     SPACE = 'moment_x', 'moment_y', 'moment_z', 'x', 'y', 'z'
+    CHECKS = {**ForceSensor.CHECKS, 'moment': positive}
 
     moment: float = 0.0
-
-    def __post_init__(self) -> None:
-        """Refuse impossible numbers."""
-        super().__post_init__()
-        normalise(self, moment=positive)
 
     def deviations(self, planar: bool) -> Tuple[float, ...]:
         """Return the standard deviations of the numbers of a reading."""

@@ -27,6 +27,13 @@ from ..scene.key_paths import numbers, resolve
 from ..scene.records import Scene
 
 
+def _directions(value: Any) -> str:
+    found = text(value)
+    if found not in ('', 'x', 'y', 'z', 'xy', 'xz', 'yz', 'xyz'):
+        raise FieldError("some of 'xyz', in this order", repr(value))
+    return found
+
+
 @dataclass(frozen=True)
 class Unknown:
     """
@@ -39,10 +46,12 @@ class Unknown:
 
     """
 
-    #: Of which kind it is, for alarms: ``load``, ``friction``, ``length``, ``sensor``, ...
+    #: Its kind, for alarms: ``load``, ``friction``, ``length``, ``sensor``, ...
     KIND: ClassVar[str] = 'number'
-    #: Of its numbers, for pictures.
+    #: The unit of its numbers, for pictures.
     UNIT: ClassVar[str] = 'SI unit'
+    #: Checks of the fields of a kind.
+    CHECKS: ClassVar[Dict[str, Any]] = {}
 
     name: str
 
@@ -86,6 +95,7 @@ class Unknown:
         normalise(self, name=name, density=not_negative)
         with at(self.name):
             normalise(self, deviation=positive)
+        normalise(self, **self.CHECKS)
 
 
 @dataclass(frozen=True)
@@ -111,6 +121,9 @@ class Wrench(Unknown):
     """
 
     KIND, UNIT = 'load', 'N, N m'
+    CHECKS = {'body': name, 'torque_density': not_negative, 'axes': one_of((WORLD, BODY)),
+              'directions': _directions,
+              'torque': lambda value: None if value is None else positive(value)}
 
     body: str = ''
     deviation: float = 0.0
@@ -119,13 +132,6 @@ class Wrench(Unknown):
     torque: Optional[float] = None
     torque_density: float = 0.0
     axes: str = WORLD
-
-    def __post_init__(self) -> None:
-        """Refuse impossible numbers."""
-        super().__post_init__()
-        normalise(self, body=name, torque_density=not_negative, axes=one_of((WORLD, BODY)),
-                  directions=_directions,
-                  torque=lambda value: None if value is None else positive(value))
 
     @property
     def components(self) -> Tuple[str, ...]:
@@ -191,15 +197,11 @@ class JointTorque(Unknown):
     """
 
     KIND, UNIT = 'load', 'N m or N'
+    CHECKS = {'joint': freedom}
 
     joint: str = ''
     deviation: float = 0.0
     density: float = 0.0
-
-    def __post_init__(self) -> None:
-        """Refuse impossible numbers."""
-        super().__post_init__()
-        normalise(self, joint=freedom)
 
     def prepared(self, scene: Scene) -> Scene:
         """Return the scene in which the joint takes torques."""
@@ -233,17 +235,13 @@ class Payload(Unknown):
     """
 
     KIND, UNIT = 'load', 'kg'
+    CHECKS = {'body': name, 'position': vector, 'value': not_negative}
 
     body: str = ''
     deviation: float = 0.0
     position: Tuple[float, ...] = (0.0, 0.0)
     value: float = 0.0
     density: float = 0.0
-
-    def __post_init__(self) -> None:
-        """Refuse impossible numbers."""
-        super().__post_init__()
-        normalise(self, body=name, position=vector, value=not_negative)
 
     def prepared(self, scene: Scene) -> Scene:
         """Return the scene with a mass, which is not zero: arrays follow it in proportion."""
@@ -276,14 +274,11 @@ class Number(Unknown):
 
     """
 
+    CHECKS = {'key': text}
+
     key: str = ''
     deviation: float = 0.0
     density: float = 0.0
-
-    def __post_init__(self) -> None:
-        """Refuse impossible numbers."""
-        super().__post_init__()
-        normalise(self, key=text)
 
     @property
     def KIND(self) -> str:  # type: ignore[override]  # noqa: N802
@@ -408,13 +403,6 @@ class Scale(Bias):
 
 
 AnyUnknown = Union[Wrench, JointTorque, Payload, Number, GravityDirection, Bias, Scale]
-
-
-def _directions(value: Any) -> str:
-    found = text(value)
-    if found not in ('', 'x', 'y', 'z', 'xy', 'xz', 'yz', 'xyz'):
-        raise FieldError("some of 'xyz', in this order", repr(value))
-    return found
 
 
 def _with_effect(scene: Scene, called: str, record: Any) -> Scene:

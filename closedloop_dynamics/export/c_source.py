@@ -136,7 +136,7 @@ class _Text:
         body, cut = ((_BODY_COLUMNS, _CUT_COLUMNS) if self.planar
                      else (_SPATIAL_BODY_COLUMNS, _SPATIAL_CUT_COLUMNS))
         effects = ', '.join(simulation.data.effect_set.by_name)
-        # Of the joints whose wrenches are unique: rows of their children, origins and axes there.
+        # Joints whose wrenches are unique; rows of their children, origins and axes there.
         self.joints, self.carried = simulation.data.force_places()
         # Behind them the cut joints: their rows, and axes of bodies A.
         self.cuts = simulation.data.cut_rows, self._cut_axes()

@@ -1138,7 +1138,7 @@ static void by_components(const double *q, const double *by_change, double *out)
 }
 """
 
-# Of changes along a motion, where there is a degree of freedom: of rotations in turning frames.
+# Changes along a motion, where there is a degree of freedom; those of rotations in turning frames.
 STRAIGHT = """\
 static void turn_changes(const double *qd, const double *dq, double *out)
 {
@@ -1161,7 +1161,7 @@ static void turn_changes(const double *qd, const double *dq, double *out)
 }
 """
 
-# Of mechanisms whose coordinates are all numbers.
+# For mechanisms whose coordinates are all numbers.
 PLAIN = """\
 static void normalise(double *q) {(void)q;}
 
@@ -1192,7 +1192,7 @@ static void apart(const double *q, const double *other, double *change)
 }
 """
 
-# Of mechanisms with orientations.
+# For mechanisms with orientations.
 WITH_QUATERNIONS = """\
 enum { BALLS = @BALLS@ };
 /* First coordinate and first rate of each orientation; coordinates of the other rates, or -1. */

@@ -5,10 +5,10 @@
 
 from typing import NamedTuple
 
-from ..integration.control import OPEN_LOOP
+from ..engine.status import OPEN_LOOP
 from ..simulation.stepper import ENDS, Stepper
 
-# Of what the engine returns: 16 times the number of the state, and a status.
+# The engine returns 16 times the number of the state, plus a status.
 STATUSES = 16
 # What failed, by status.
 WORDS = {**{status: words for status, (_, words) in ENDS.items()},

@@ -270,7 +270,7 @@ class _Unit:
                                    ('qd', qd[free], units['velocity'])):
             found += [Variable(
                 f'independent.{what}[{k + 1}]', 'local', 'continuous', 'exact', float(value),
-                # Of whatever joint it is now.
+                # The unit of the joint that is chosen now.
                 unit[free[k]] if len(set(slides[place >= 0])) == 1 else None,
                 f'at the start of {names[free[k]]}')
                 for k, value in enumerate(values)]

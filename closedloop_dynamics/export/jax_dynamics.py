@@ -7,7 +7,7 @@ import numpy as np
 
 from .callable_steps import opened, Shapes, STATUSES
 from .jax_step import native_function, require_64_bits
-from ..integration.control import NOT_FINITE, OPEN_LOOP, POOR_EQUATIONS, SINGULAR
+from ..engine.status import NOT_FINITE, OPEN_LOOP, POOR_EQUATIONS, SINGULAR
 from ..mechanism.extras import of_an_extra
 from ..simulation.derivative_code import DerivativeCode
 from ..simulation.simulation import Simulation

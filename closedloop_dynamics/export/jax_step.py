@@ -157,14 +157,15 @@ def native_function(of, value, lengths, changing, turned=lambda q, change: chang
                 token=np.int64(token))
 
     @jax.custom_jvp
-    def weigh(*given):
+    def weights_of(*given):
         return tuple(call(of.weight, changing, *given))
 
-    @weigh.defjvp
+    @weights_of.defjvp
     def _(given, changes):
         raise NotImplementedError(f'{of!r} has first derivatives alone')
 
-    change = _Linear(repr(of), lambda *given: call(of.change, lengths, *given), weigh, lengths)
+    change = _Linear(repr(of), lambda *given: call(of.change, lengths, *given),
+                     weights_of, lengths)
 
     @jax.custom_jvp
     def function(*state):

@@ -188,7 +188,7 @@ class _Trace(SceneTrace):
         self._rates = forces.rates
         for row, push in list(enumerate(self.symbols(PUSH, (len(self.constant.tree), 6))))[1:]:
             if forces.size == 2:
-                # Of a mechanism in the plane there is a moment about the normal alone.
+                # In the plane there is a moment about the normal alone.
                 push = (0.0, 0.0, push[2], *push[3:5], 0.0)
             Forces.push(forces, row, ZERO, tuple(push[3:]), tuple(push[:3]))
         return forces

@@ -91,7 +91,7 @@ def mechanism_of(model, end_stops=None, mend_inertias=False, tolerance=TOLERANCE
     model.check()
     joints = [_upright(_bounded(joint)) for joint in model.joints.values()]
     groups = _Groups(model, joints)
-    moving = groups.moving(joints, ignored)
+    moving = groups.moving(joints)
     tree = _spanning_tree(groups, moving)
     if not tree.joints:
         raise MechanismError(f'{model.path}: expected a joint that moves, got none')
@@ -178,7 +178,7 @@ class _Groups:
         group, at = self.of[link]
         return group, at @ pose
 
-    def moving(self, joints, ignored):
+    def moving(self, joints):
         """Return the joints between different groups; refuse others that cannot be met."""
         found = []
         for joint in joints:

@@ -308,7 +308,7 @@ def _strip_below(element, geoms, needed, wrapped, left_out):
             *child.attributes, child.attributes.get('type'))
         for key in _SOFT:
             child.attributes.pop(key, None)
-        # Of a geometry a plugin gives the shape; around some tendons are wrapped.
+        # A plugin gives the shape of a geometry; tendons are wrapped around some geometries.
         if flat or child.tag in PARTS and (child.tag, element.tag) != ('plugin', 'geom') or (
                 unused and child.tag == 'geom' and child.attributes.get('name') not in wrapped):
             left_out[child.tag] += 1

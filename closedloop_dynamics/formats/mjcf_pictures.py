@@ -13,7 +13,7 @@ import numpy as np
 from ..mechanism.mechanism import BOX, CYLINDER, MESH, SPHERE, Visual
 from ..mechanism.rotations import of_quaternion, quaternion_of
 
-# Of groups from this one on MuJoCo's viewer shows nothing: geometry for contacts.
+# MuJoCo's viewer shows no groups from this one on: geometry for contacts.
 HIDDEN = 3
 # How thick a plane is drawn, and how wide one without an end, as shares of the model's extent.
 THICK, WIDE = 0.005, 2.0

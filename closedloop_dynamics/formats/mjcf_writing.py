@@ -18,7 +18,7 @@ from ..mechanism.mechanism import (
     FIXED, FREE, GROUND, HELICAL, MechanismError, PRISMATIC, REVOLUTE, SPHERICAL)
 from ..mechanism.rotations import of_quaternion, quaternion_of
 
-# Of a polynomial between joints.
+# Coefficients of a polynomial between joints.
 MOST_COEFFICIENTS = 5
 # Attribute of a joint by the type of effect that acts on it.
 ATTRIBUTES = {

@@ -36,7 +36,7 @@ GEARBOX = 'gearbox'
 DRIVEN = (REVOLUTE, PRISMATIC, HELICAL, UNIVERSAL)
 # Limits beyond this limit nothing.
 ENDLESS = 1e15
-# Of joints in files of another format: of the converters that read them.
+# First version of the converters for joints in files of another format.
 JOINTS_ALONE = (1, 7)
 REASONS = {
     'visual': 'for pictures', 'material': 'for pictures', 'collision': NO_CONTACTS,
@@ -169,7 +169,7 @@ class _Reader:
         self.element, self.model, self.version = element, model, version
         self.around = dict(around)
         self.links, self.joints = element.all('link'), element.all('joint')
-        # Of joints: the element, the joint's name, multiplier and offset.
+        # Joints that mimic others: the element, the joint's name, multiplier and offset.
         self.mimics = []
         # By frame: the element with its pose, and the frame of that pose by default.
         self.given, self.found = {}, {MODEL: IDENTITY, **dict(found)}

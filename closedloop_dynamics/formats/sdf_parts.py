@@ -24,7 +24,7 @@ MOST_FILES = 100
 # Children whose text is the name of a frame, and attributes that are.
 _TEXTS = ('parent', 'child', 'gearbox_reference_body', 'drake:ball_constraint_body_A',
           'drake:ball_constraint_body_B', 'drake:parent_frame', 'drake:child_frame',
-          # Of plugins.
+          # Keys of plugins.
           'parent_link', 'child_link', 'joint', 'mimicJoint')
 _ATTRIBUTES = ('attached_to', 'relative_to', 'frame', 'expressed_in', 'joint')
 

@@ -192,7 +192,7 @@ class _Sdf:
             if len(axes) == 1:
                 ends = self.joint_effects.limits(single.name) or ()
                 for tag, one in zip(('lower', 'upper'), ends):
-                    # Those that are none stay so wherever it is drawn.
+                    # Missing limits stay missing, wherever it is drawn.
                     _text(limit, tag, one if abs(one) >= NO_LIMIT else one - q[number])
             if joint.actuated:
                 torque, speed = self.joint_effects.drive(single.name, speeds=True)

@@ -106,7 +106,7 @@ def _add_dynamics(element, single, joint, joint_effects, mimics, zero):
         ends = joint_effects.limits(single.name)
         if ends or single.type == PRISMATIC:
             for key, one in zip(('lower', 'upper'), ends or (-NO_LIMIT, NO_LIMIT)):
-                # Those that are none stay so wherever it is drawn.
+                # Missing limits stay missing, wherever it is drawn.
                 limit.set(key, numbers(one if abs(one) >= NO_LIMIT else one - zero))
     if single.type in (REVOLUTE, PRISMATIC):
         found = {kind: joint_effects.each(single.name, kind) for kind in DYNAMICS}

@@ -19,10 +19,21 @@ import numpy as np
 from .modeling import extent
 from ..codegen.equations import BY_ITSELF, Loops, MASSES, NO_METRIC, TURNED
 from ..engine.ranks import null_space, rank_of, RANK_TOLERANCE, singular_values
-from ..mechanism.closure import open_parts
 from ..mechanism.digits import EVERYDAY, suspicions
 from ..mechanism.errors import AssemblyError
+from ..mechanism.mechanism import (
+    CYLINDRICAL, DISTANCE, FIXED, HELICAL, PLANAR, POINT_ON_LINE, POINT_ON_PLANE, PRISMATIC,
+    REVOLUTE, UNIVERSAL)
 
+# Parts of a cut joint, as messages name them, in the order of its equations; a pin in the plane
+# has the first one only.
+POINTS, LINE = 'm between its points', 'm beside its axis'
+TURN, TILT = 'rad of its angle', 'rad between its axes'
+PARTS = {
+    PRISMATIC: (LINE, TURN), CYLINDRICAL: (LINE, TILT), POINT_ON_LINE: (LINE,),
+    HELICAL: (LINE, TILT, 'm along its thread'), POINT_ON_PLANE: ('m off its plane',),
+    PLANAR: ('m off its plane', TILT), DISTANCE: ('m of its length',), FIXED: (POINTS, TURN),
+    REVOLUTE: (POINTS, TILT), UNIVERSAL: (POINTS, 'rad from a right angle of its axes')}
 # Closed means this, relative to the mechanism's size (or 1, for a rate or an angle).
 TOLERANCE = 1e-12
 # No single correction moves a coordinate further [rad, or in units of the size], so that
@@ -121,7 +132,7 @@ class Assembler:
         q, psi = self.solve_closure(guess, free)
         if not (self._is_closed(psi) or self._is_closed_to_digits(guess, psi, hold)):
             self._require_no_surplus(guess, hold)
-            raise AssemblyError(self._open_loops(guess, q, psi, hold))
+            raise AssemblyError(self._open_loops(guess, psi, hold))
         if len(hold) > 0:
             self._require_complete(q, free, hold)
         if self.is_light:
@@ -222,14 +233,14 @@ class Assembler:
         if np.abs(jac @ qd - wanted).max(initial=0.0) <= (
                 TOLERANCE * self.extent * np.abs(qd).max()):
             # As they are, to the last digit.
-            return self._continued(q, qd, jac, hold)
+            return self._continued(q, qd, hold)
         rate = jac @ qd - wanted
         qd = self._nearest_rates(q, qd, hold)
         left = np.abs(jac @ qd - wanted).max(initial=0.0)
         scale = max(np.abs(qd).max(initial=0.0) * self.extent, np.abs(rate).max(initial=0.0))
         if left > 1e-9 * scale:
             raise AssemblyError(self._rates_apart(q, left, hold))
-        return self._continued(q, qd, jac, hold)
+        return self._continued(q, qd, hold)
 
     def _wanted_rates(self):
         """Return the right-hand sides of J qd: the rates of prescribed motions, behind zeros."""
@@ -293,7 +304,7 @@ class Assembler:
         near = np.abs(found - ahead).max() <= BRANCH_ERROR * fastest
         return found if near else None
 
-    def _continued(self, q, qd, jac, hold):
+    def _continued(self, q, qd, hold):
         """Return rates, unless the position is singular and no motion continues with them."""
         if self.nc > MOST_EQUATIONS or not qd.any():
             return qd
@@ -644,27 +655,34 @@ class Assembler:
             return 0
         return len(free) - rank_of(self.dimensionless(q)[:, free])
 
-    def _open_loops(self, guess, q, psi, hold):
+    def _open_loops(self, guess, psi, hold):
         """Return a description of the loops that do not close."""
         worst, gaps = [], self._gaps(psi)
         for cut in self.mechanism.closures:
             gap = gaps[cut.name]
             if not gap <= TOLERANCE * self.extent:
                 worst.append(f'{self._section(cut)}.{cut.name} open by ' + (
-                    self._parts(cut, q) or f'{gap:.3g} (m or rad)'))
+                    self._parts(cut, psi) or f'{gap:.3g} (m or rad)'))
         held = f' with {", ".join(hold)} held' if len(hold) > 0 else ''
         return (f'{self.mechanism.name} cannot be assembled from this position{held}: '
                 f'expected loops that close, got {", ".join(worst)}. ' + ' '.join(
                     [self._advice_on_assembly(guess, psi, hold),
                      *angle_notes(self.mechanism, guess), *suspicions(self.mechanism)]))
 
-    def _parts(self, cut, q):
+    def _parts(self, cut, psi):
         """Return which parts of a cut joint are open, where it has several or an axis."""
         if cut not in self.mechanism.cut_joints:
             return ''
-        parts = [f'{gap:.3g} {words}' for words, gap in open_parts(
-            self.mechanism, q, cut).items() if not gap <= TOLERANCE * self.extent]
-        return ' and '.join(parts)
+        counts, groups = self._equations.counts, self._equations.groups
+        first = sum(counts[:self.mechanism.closures.index(cut)])
+        rows = slice(first, first + counts[self.mechanism.closures.index(cut)])
+        gaps = [np.linalg.norm(psi[rows][groups[rows] == group])
+                for group in np.unique(groups[rows])]
+        words = PARTS.get(cut.type, (POINTS,))
+        if words[:len(gaps)] == (POINTS,):
+            return ''
+        return ' and '.join(f'{gap:.3g} {words}' for words, gap in zip(words, gaps)
+                            if not gap <= TOLERANCE * self.extent)
 
     def closes(self, guess):
         """Return whether the loops close next to a position, shape (nq,), with nothing held."""

@@ -18,7 +18,7 @@ from .assembly import Assembler
 # Singular values below this share of the largest vanish at the change point nearby, which is
 # looked for within so far [rad, and shares of the size], in so many corrections up to so little.
 VANISHING, NEAR, MOST_CORRECTIONS, FOUND = 0.1, 0.3, 12, 1e-9
-# Distance for differences; derivatives of vanishing equations below this share are none.
+# Distance for differences; derivatives of vanishing equations below this share are zero.
 DIFFERENCE, NO_BEND = 1e-4, 1e-6
 # Branches that are farther apart, in sizes, are followed: they turn within the root of it, 5e-4
 # rad, and evaluations are interpolated from places 0.015 rad away.
@@ -81,7 +81,7 @@ def finding(mechanism, equations, passage):
     """
     Yield what to say of a run that came next to a singular position.
 
-    ``passage`` is as ``integration.system.System`` has it.
+    ``passage`` is as ``simulation.system.System`` has it.
     """
     if not passage[0] > 0.0:
         return

@@ -14,7 +14,7 @@ from ..codegen.vectors import is_zero
 from ..engine import types as t
 from ..mechanism.mechanism import MechanismError
 
-# Of the size: errors of equations that no motion changes are rounding below this.
+# Share of the size: below it errors of equations that no motion changes are rounding.
 NEVER_CLOSED = 1e-9
 
 

@@ -130,7 +130,7 @@ class DrivenKinematics:
         self._mechanism, self.coordinates = mechanism, mechanism.coordinates
         self._geometry = Geometry(mechanism)
         self._equations, self._size = self._geometry.equations, extent(mechanism)
-        # Of all equations.
+        # The model of all equations.
         self._model = self._equations.model
         numbers = self._model.cut[:, t.CUT_NUMBER].tolist()
         count = len(mechanism.motions)

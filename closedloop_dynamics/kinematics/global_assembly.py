@@ -30,7 +30,7 @@ CLOSED = 1e-9
 MOST_ITERATIONS = 150
 # Largest change of a coordinate in one iteration [rad, or in units of the size].
 LARGEST_STEP = 0.5
-# Of a homotopy, and iterations in each step but the last.
+# Steps of a homotopy, and iterations in each step but the last.
 STEPS_OF_HOMOTOPY, FEW_ITERATIONS = 12, 20
 # How far around the first start others are [rad, and shares of the size], one after the other.
 AMPLITUDES = (0.2, 0.5, 1.0, 1.5, 2.5, 3.1)
@@ -40,7 +40,7 @@ LEAST_INERTIA = 1e-4
 # From so many starts a loop is tried alone, to find whether it can be closed at all.
 STARTS_ALONE = 12
 FROM_THE_START = 'from the start'
-# Of a motion of unit size, what is none: positions are closed to the root of rounding errors.
+# Components of a motion of unit size below this are zero: positions close to the root of rounding.
 STILL = 1e-7
 # Axes that cut joints keep parallel.
 AXES = {REVOLUTE: ONE_AXIS, CYLINDRICAL: ONE_AXIS, PLANAR: ONE_AXIS, PRISMATIC: ALL_AXES,

@@ -7,15 +7,15 @@ from contextlib import suppress
 from copy import deepcopy
 from itertools import combinations
 import math
+from typing import NamedTuple
 
 import numpy as np
 
 from .assembly import Assembler, MOST_EQUATIONS, MOST_OPEN, NEARBY, NEIGHBOURS
 from .modeling import mechanism_arrays
-from ..codegen import unrolled_size
+from ..codegen import MOST_UNROLLED_OPERATIONS, unrolled_size
 from ..codegen.equations import Equations
 from ..engine.ranks import rank_of, RANK_TOLERANCE
-from ..integration.system import JointPlaces, MOST_UNROLLED_OPERATIONS
 from ..mechanism.decomposition import decompose
 from ..mechanism.errors import AssemblyError
 from ..mechanism.mechanism import FIXED
@@ -41,6 +41,15 @@ NEAR_BRANCH = 0.09
 
 # Code is made for so many choices of equations at most, as it takes a third of a second each.
 MOST_CHOICES = 16
+
+
+class JointPlaces(NamedTuple):
+    """Where the joints are, fixed ones left out: those of the tree, then the cut joints."""
+
+    row: np.ndarray  # Int, shape (number of joints in the tree,): Of the bodies that they carry
+    body: np.ndarray  # Int, shape (n, 2): Rows of the two bodies of each
+    #: Shape (2 n, 2 or 3): The joint's point on the one body and on the other [m].
+    point: np.ndarray
 
 
 class LoopModel:
@@ -125,7 +134,7 @@ class LoopModel:
         return placement.row, placement.place(position)
 
     def select(self, kept):
-        """Retain some equations in the elimination, as ``of``; return the model."""
+        """Retain some equations in the elimination, as ``model_of``; return the model."""
         self.model, self.equations = self.model_of(kept)
         self.has_redundant_constraints = not self.equations.kept.all()
         return self.model
@@ -257,7 +266,7 @@ class LoopModel:
         """
         Choose other equations for the elimination where the present ones are ill-conditioned.
 
-        ``better``: how much further from dependent another choice must be; ``nearby``: whether to
+        ``better``: factor by which the smallest singular value must grow; ``nearby``: whether to
         consider positions nearby where this one is singular, which takes long. Returns the model
         of the new choice; None where the present one is as good, there are fewer equations to
         choose here, more of them cannot be met, or they have been worked on here before, so that

@@ -35,7 +35,7 @@ class Redundancy(NamedTuple):
     repeated: Tuple[Tuple[str, str, str], ...]
     #: Joints, cut joints and couplings whose forces are not unique: the least are reported.
     shared: Tuple[str, ...]
-    #: Of these joints, the components of the wrench, in world axes, that are not unique.
+    #: The components of their wrenches, in world axes, that are not unique.
     components: Dict[str, Tuple[str, ...]]
 
 

@@ -5,10 +5,11 @@
 Motions that closure equations forbid to second order only, and equations that hold them.
 
 A taut bar between parallel guides cannot tilt, but the gradient of its length vanishes in every
-position that it can take: a rank counts a freedom that is none, and multipliers of that equation
-have no effect. To second order the loops close along a direction v of the null space N of J only
-where l^T (v^T H v) = 0 for all l with l^T J = 0 (H: second derivatives of the closure equations).
-A form that is definite across the directions in which finite steps close again forbids all others.
+position that it can take: a rank counts a freedom that does not exist, and multipliers of that
+equation have no effect. To second order the loops close along a direction v of the null space N
+of J only where l^T (v^T H v) = 0 for all l with l^T J = 0 (H: second derivatives of the closure
+equations). A form that is definite across the directions in which finite steps close again forbids
+all others.
 Where these are the same linear combinations of coordinates in all positions around, couplings and
 points on lines hold them in the place of such equations.
 
@@ -40,7 +41,7 @@ SOME_EFFECT = 1e-4
 # Steps per direction of the null space; the part of a step that a motion keeps, at least, and that
 # is left of one that is undone, at most. Between the two nothing is decided.
 STEPS_EACH, KEPT, UNDONE = 3, 0.2, 0.02
-# Curvature across the motion, against the largest one, that forbids; and along it, that is none.
+# Curvature across the motion, against the largest one, that forbids; along it, that is zero.
 DEFINITE, FLAT = 1e-3, 1e-5
 # Corrections of a combination of forms until it is definite.
 MOST_COMBINATIONS = 200
@@ -149,7 +150,7 @@ def scene_as_it_moves(scene):
 
 
 def count_forbidden(mechanism, position):
-    """Return how many freedoms of first order are none, near a position, shape (nq,)."""
+    """Return how many freedoms of first order do not exist, near a position, shape (nq,)."""
     geometry = Geometry(mechanism)
     geometry.leave_out_repeated(position)
     if geometry.unexplained is None:
@@ -295,7 +296,7 @@ class _Search:
                 np.arange(self.assembler.nv))
             if np.abs(psi).max(initial=0.0) <= CLOSED * self.assembler.extent:
                 found.append(null.T @ (self.coordinates.apart(near, q) / self.unit) / STEP)
-        # Of length 1 together, in each direction of a motion.
+        # Together they have length 1 in each direction of a motion.
         return np.array(found).T / np.sqrt(STEPS_EACH) if len(found) > count else None
 
     def forms(self, q, null, idle):
@@ -432,7 +433,7 @@ def _relations_among(motions):
     rows, pivots = vectors[:, rank:].T.copy(), []
     for k in range(len(rows)):
         left = np.abs(rows[k:])
-        # Of entries as large as any the first coordinate's: the choice must not be rounding.
+        # The first coordinate whose entries are about the largest: rounding must not choose.
         column = int(np.argmax(left.max(axis=0) > 0.5 * left.max()))
         pivot = k + int(np.argmax(left[:, column]))
         rows[[k, pivot]] = rows[[pivot, k]]

@@ -13,7 +13,7 @@ from types import SimpleNamespace
 
 import numpy as np
 
-from .checks import boolean, listed, one_of
+from .checks import boolean, list_of, listed, one_of
 from .fields import among, at, FieldError, mapping, normalise, shown
 from .mechanism import (
     CUT_JOINT_EQUATIONS, CUT_WITH_AXIS_A, CUT_WITH_AXIS_B, CUT_WITH_ZERO, CutJoint, CYLINDRICAL,
@@ -43,6 +43,23 @@ class ChosenTree:
     shifts: dict = field(default_factory=dict)
 
 
+def two_bodies(value):
+    """Return the names of two different bodies."""
+    pair = listed(value, 'a list of the names of 2 bodies')
+    if len(pair) != 2 or pair[0] == pair[1]:
+        raise FieldError('a list of the names of 2 different bodies', shown(pair))
+    return pair
+
+
+def two_places(value, check):
+    """Return two places, each through a check."""
+    expected = 'a list of 2 places, in the frames of both bodies'
+    places = listed(value, expected)
+    if len(places) != 2:
+        raise FieldError(expected, shown(places))
+    return list_of(check)(places)
+
+
 def link(name, values, bodies, spatial):
     """
     Read a joint between two bodies from its keys, expressions computed.
@@ -55,20 +72,12 @@ def link(name, values, bodies, spatial):
     cut, points = values.pop('cut', None), values.pop('points')
     checks = (SPATIAL_SECTIONS if spatial else SECTIONS)['joints'][1]
     with at(BETWEEN):
-        pair = listed(values.pop(BETWEEN), 'a list of the names of 2 bodies')
-        if len(pair) != 2 or pair[0] == pair[1]:
-            raise FieldError('a list of the names of 2 different bodies', shown(pair))
+        pair = two_bodies(values.pop(BETWEEN))
         for index, body in enumerate(pair):
             with at(index):
                 one_of((*bodies, GROUND), 'the name of a body:')(body)
     with at('points'):
-        points = listed(points, 'a list of 2 places, in the frames of both bodies')
-        if len(points) != 2:
-            raise FieldError('a list of 2 places, in the frames of both bodies', shown(points))
-        places = []
-        for index, point in enumerate(points):
-            with at(index):
-                places.append(checks['position'](point))
+        places = two_places(points, checks['position'])
     if values['type'] in CLOSING:
         raise FieldError(
             f'a joint that may carry a body: {among(JOINT_FREEDOMS if spatial else JOINT_TYPES)}',

@@ -34,7 +34,7 @@ POINT_ON_LINE = 'point_on_line'
 # Joints with an orientation in three dimensions.
 WITH_ORIENTATION = (SPHERICAL, FREE)
 
-# Of a joint with numbers of its own: suffix of its name, and whether it is a length.
+# Numbers of a joint that has several: suffix of the name, and whether it is a length.
 _NUMBERS = {
     REVOLUTE: (('', False),), PRISMATIC: (('', True),), HELICAL: (('', False),),
     UNIVERSAL: (('.1', False), ('.2', False)), CYLINDRICAL: (('.1', False), ('.2', True)),
@@ -336,7 +336,7 @@ class Coordinates:
             turned = composed(other[..., first:first + 4] * CONJUGATE, q[..., first:first + 4])
             axis, cosine = turned[..., :3], turned[..., 3:]
             sine = np.linalg.norm(axis, axis=-1, keepdims=True)
-            # Of small turns the sine is half the angle.
+            # The sine of a small turn is half the angle.
             length = np.where(sine > 0.0, 2.0 * np.arctan2(sine, np.abs(cosine)) / np.where(
                 sine > 0.0, sine, 1.0), 2.0)
             change[..., rate:rate + 3] = axis * np.copysign(length, cosine)

@@ -13,13 +13,14 @@ is a universal joint, the head a spherical one.
 
 import numpy as np
 
-from .checks import boolean, direction, listed, positive, vector2, vector3
+from .between import BETWEEN, two_bodies, two_places
+from .checks import boolean, direction, positive, vector2, vector3
 from .fields import at, FieldError, mapping, shown
 
 SECTION = 'cylinders'
 # Length of a barrel as it is drawn, in its radii.
 THINNESS = 14.0
-KEYS = ('between', 'points', 'mass', 'length'), ('actuated',)
+KEYS = (BETWEEN, 'points', 'mass', 'length'), ('actuated',)
 
 
 def with_cylinders(data, parameters, spatial):
@@ -50,18 +51,11 @@ def with_cylinders(data, parameters, spatial):
 def _parts(name, values, parameters, spatial):
     """Return the bodies and the joints of a cylinder by name, as a file would have them."""
     barrel, rod = f'{name}_barrel', f'{name}_rod'
-    with at('between'):
-        pair = listed(values['between'], 'a list of the names of 2 bodies')
-        if len(pair) != 2 or pair[0] == pair[1]:
-            raise FieldError('a list of the names of 2 different bodies', shown(pair))
+    with at(BETWEEN):
+        pair = two_bodies(values[BETWEEN])
     with at('points'):
-        points = listed(parameters.evaluated(values['points'], 'm'), 'a list of 2 places')
-        if len(points) != 2:
-            raise FieldError('a list of 2 places, in the frames of both bodies', shown(points))
-        places = []
-        for index, point in enumerate(points):
-            with at(index):
-                places.append(list((vector3 if spatial else vector2)(point)))
+        places = [list(place) for place in two_places(
+            parameters.evaluated(values['points'], 'm'), vector3 if spatial else vector2)]
     numbers = {}
     for key, unit in (('mass', 'kg'), ('length', 'm')):
         with at(key):

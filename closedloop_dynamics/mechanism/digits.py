@@ -80,8 +80,8 @@ def suspicions(mechanism):
     most = max(one.far / (size if one.unit else 1.0) for one in notes)
     said = '; '.join(_words(notes, 'are not'))
     wide = 10.0 ** math.ceil(math.log10(most))
-    return [f'{said}. This is how rounded digits look. They lock loops, or keep them open, or are '
-            'met by forces that are as large as they are without meaning. --geometry-tolerance '
+    return [f'{said}. This is how rounded digits look. They lock loops, keep them open, or cause '
+            'large forces without meaning. --geometry-tolerance '
             f'{wide:.0e}, or the key tolerance of the mechanism (of the scene of a model), takes '
             'them as they were meant; or write more digits.']
 

@@ -143,7 +143,7 @@ def motion_of(mechanism, position, velocity, body, place=(0.0, 0.0, 0.0)):
         link = carrying[link].parent
     position, velocity = np.asarray(position, dtype=float), np.asarray(velocity, dtype=float)
     pose, parts = _ground(mechanism, ()), []
-    # Of what has moved so far: spin and its rate, and place and acceleration of a point of it.
+    # The part that has moved so far: spin and its rate, place and acceleration of a point of it.
     spin, spin_rate, point, acceleration = np.zeros((4, 3))
     for joint in chain:
         frame = _joint_frame(pose, joint)

@@ -194,33 +194,32 @@ def _from_z(axis):
     return (-0.5 * y / w, 0.5 * x / w, 0.0, w)
 
 
-def _scale(value):
-    """Return three factors of a mesh; negative ones mirror it."""
-    found = numbers(value, 3, 'a list of 3 numbers [x, y, z] that are not zero')
-    for index, factor in enumerate(found):
-        if factor == 0.0:
+def _three(expected, check):
+    """Return a check of three numbers, of each by itself."""
+    def checked(value):
+        found = numbers(value, 3, expected)
+        for index, one in enumerate(found):
             with at(index):
-                raise FieldError('a number that is not zero', shown(factor))
-    return found
+                check(one)
+        return found
+    return checked
 
 
-def _color(value):
-    """Return three shares of light."""
-    found = numbers(value, 3, 'a list of 3 numbers from 0 to 1 [red, green, blue]')
-    for index, share in enumerate(found):
-        if not 0.0 <= share <= 1.0:
-            with at(index):
-                raise FieldError('a number from 0 to 1', shown(share))
-    return found
+def _require_factor(value):
+    if value == 0.0:
+        raise FieldError('a number that is not zero', shown(value))
 
 
-def _size(value):
-    """Return three positive lengths."""
-    found = numbers(value, 3, 'a list of 3 positive numbers [x, y, z]')
-    for index, length in enumerate(found):
-        with at(index):
-            positive(length)
-    return found
+def _require_share(value):
+    if not 0.0 <= value <= 1.0:
+        raise FieldError('a number from 0 to 1', shown(value))
+
+
+_size = _three('a list of 3 positive numbers [x, y, z]', positive)
+# Factors of a mesh; negative ones mirror it.
+_scale = _three('a list of 3 numbers [x, y, z] that are not zero', _require_factor)
+# Shares of light.
+_color = _three('a list of 3 numbers from 0 to 1 [red, green, blue]', _require_share)
 
 
 def _box(found):

@@ -9,17 +9,17 @@ import math
 import time
 
 from .run import ErrorEstimate, Report, run
-from ..integration.control import LONGEST_PAUSE, WINDOW
-from ..integration.registry import AUTO, FIXED, INTEGRATORS
+from ..engine.status import LONGEST_PAUSE, WINDOW
 from ..mechanism.errors import SimulationError
+from ..scene.integrators import AUTO, FIXED, INTEGRATORS
 from ..simulation.budget import allowed
 from ..simulation.simulation import Simulation
 
 # CPU time that a probe may take [s]; one that took less than the second is made once more, and the
 # faster one counts: what runs for the first time is slower, and other programs disturb.
 LONGEST, SHORT = 0.5, 0.2
-# Of a second method that is listed beside the first: its tolerance or accuracy, and its step size,
-# against those of the first.
+# Tolerance or accuracy, and step size, of a second method that is listed beside the first,
+# relative to those of the first.
 FINER, SHORTER = 1e-3, 0.5
 
 

@@ -63,7 +63,7 @@ def transmission_extremes(run) -> Tuple[Extreme, ...]:
     values = angle(run.position, None)
     if values is None:
         return ()
-    # Of a whole turn the first pose is the last one, too.
+    # The first pose of a whole turn is the last one, too.
     turns = _is_turn(run) and math.isclose(values[0], values[-1], rel_tol=RETURNED)
     found = []
     for sign in (1.0, -1.0):

@@ -28,7 +28,7 @@ TURN = 2.0 * math.pi
 POSES, SHORT_OF_LIMIT = 361, 0.01
 # Share of its stroke within which an output dwells.
 DWELL = 0.01
-# Of differences: the step as a share of a length.
+# Step of differences, as a share of a length.
 STENCIL_STEP = 1e-2
 # Below this share singular values are zero; above the other one closure equations contradict one
 # another.
@@ -40,8 +40,9 @@ NOTHING, OPENS = 1e-9, 1e-7
 KINDS = {'length': ('position', 'point_a', 'point_b', 'length'), 'lead': ('lead',),
          'angle': ('angle', 'orientation', 'axis', 'second_axis', 'axis_a', 'axis_b'),
          'ratio': ('joints', 'offset')}
-TOLERANCES = {'length': ('m', 1e-4), 'lead': ('m/rad', 1e-6), 'angle': ('rad', 1e-3),
-              'ratio': ('1', 0.0)}
+TOLERANCES = {one.name: one for one in (
+    Quantity('length', 'm', 1e-4), Quantity('lead', 'm/rad', 1e-6),
+    Quantity('angle', 'rad', 1e-3), Quantity('ratio', '1', 0.0))}
 
 
 class Output(NamedTuple):
@@ -250,7 +251,7 @@ def _kind(scene, key):
               for one, new in zip(getattr(scene.mechanism, section), getattr(other, section))
               for name, before in vars(one).items() if before != getattr(new, name)}
     kind = next((kind for kind, names in KINDS.items() if fields & set(names)), None)
-    # Of a screw or a rack, which couple turns with slides.
+    # A screw or a rack couples turns with slides.
     slides = any(len({unit_of(other, 'position', name) for name in new.joints}) > 1
                  for one, new in zip(scene.mechanism.couplings, other.couplings) if one != new)
     return 'lead' if kind == 'ratio' and slides else kind

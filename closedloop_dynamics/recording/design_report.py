@@ -104,7 +104,7 @@ def _tolerated(scene, given):
         if what not in (*design.KINDS, *names):
             raise ValueError(f'tolerance: expected one of {among([*design.KINDS, *names])}, '
                              f'got {what!r}')
-    return {key: (kind, given.get(name, given.get(kind, design.TOLERANCES[kind][1])))
+    return {key: (kind, given.get(name, given.get(kind, design.TOLERANCES[kind].values)))
             for name, key in names.items() for kind in [keys[key]]}
 
 
@@ -271,7 +271,7 @@ def _tolerances(tolerances, scene, run):
     turned, units = np.array([one.values for one in ones]), [one.unit for one in ones]
     most = np.abs(found.derivatives).max(axis=0) * turned[:, np.newaxis]
     shown = [k for k in range(len(keys)) if most[:, k].max() > 0.0]
-    # Of many lengths, several tables below one another: a page is only so wide.
+    # Many lengths take several tables below one another, as a page is narrow.
     tables = [_table([
         ('', *(keys[k].removeprefix('parameters.').removeprefix('mechanism.') for k in some)),
         *((what, *(f'{row[k]:.3g}' for k in some)) for what, row in zip(found.outputs, most))])
@@ -282,7 +282,7 @@ def _tolerances(tolerances, scene, run):
             key.removeprefix('parameters.').removeprefix('mechanism.'))
     limits = '; '.join(
         f'{escape(", ".join(names) if scene.parameters else "places of joints")} ({kind}) '
-        f'{size:g} {design.TOLERANCES[kind][0]}' for (kind, size), names in used.items())
+        f'{size:g} {design.TOLERANCES[kind].unit}' for (kind, size), names in used.items())
     return title, [('', '1 sigma', 'worst case'), *(
         (what, f'{sigma:.3g} {unit}', f'{worst:.3g} {unit}') for what, sigma, worst, unit in zip(
             found.outputs, found.sigma(sizes) * turned, found.worst(sizes) * turned, units))], [

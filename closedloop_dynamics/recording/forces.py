@@ -15,7 +15,7 @@ from .run import moving_joints
 from ..kinematics.passive_joint_solver import PassiveJointError, PassiveJointSolver
 from ..mechanism.extras import of_an_extra
 
-# Of the polynomials between measurements, so that accelerations have continuous slopes.
+# Degree of the polynomials between measurements, so that accelerations have continuous slopes.
 DEGREE = 5
 STATE, WRENCH = 'sensor_msgs/msg/JointState', 'geometry_msgs/msg/WrenchStamped'
 

@@ -15,7 +15,7 @@ from ..simulation.model import Model
 # How often a mode is repeated, rows of each time, and how long one lasts that does not
 # oscillate [s].
 PERIODS, ROWS, USUAL_PERIOD = 10, 40, 1.0
-# Of the joint that moves most [rad], where a length as a share of the mechanism's size.
+# Amplitude of the joint that moves most [rad], or of a slide as a share of the mechanism's size.
 USUAL_AMPLITUDE = 0.2
 
 

@@ -2,10 +2,11 @@
 # SPDX-License-Identifier: Apache-2.0
 
 """
-Quantities over a driven motion: name, unit and values, in one record for all who read them.
+Quantities: name, unit and values, in one record for all who compute, write or draw them.
 
-Tables, pages, pictures and objectives take torques, forces and coordinates from here, by the
-columns of ``DrivenRun.table``.
+Tables, pages, pictures and objectives take torques, forces and coordinates of a driven motion from
+here, by the columns of ``DrivenRun.table``; maps of workspaces, tolerances and studies of accuracy
+describe theirs by the same record.
 """
 
 from typing import Dict, NamedTuple
@@ -24,11 +25,12 @@ class Extreme(NamedTuple):
 
 
 class Quantity(NamedTuple):
-    """A number at each pose."""
+    """A number, or one at each pose, node or setting."""
 
-    name: str  # Of a joint, or of a coordinate of a point: ``point.tool.x``
+    name: str  # As of a joint, or of a coordinate of a point: ``point.tool.x``
     unit: str  # Of the SI
-    values: np.ndarray  # Shape (n,)
+    values: np.ndarray = None  # Shape (n,); None where only the kind is known
+    meaning: str = ''
 
     @property
     def shown(self):
@@ -39,8 +41,8 @@ class Quantity(NamedTuple):
 
     @property
     def label(self):
-        """Return name and unit."""
-        return f'{self.name} [{self.unit}]'
+        """Return name and unit, where it has one."""
+        return f'{self.name} [{self.unit}]' if self.unit != '1' else self.name
 
     def text(self, value):
         """Return a value of its kind, in its unit, as a designer reads it."""

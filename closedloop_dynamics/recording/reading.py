@@ -115,7 +115,7 @@ class Bag:
                     'follows in this file is left out'
                     + ('; `mcap recover` brings back what is sound' if '.mcap' in file.name
                        else ''))
-        # Of a recording that was killed, the last file is not yet counted.
+        # The last file of a recording that was killed is not yet counted.
         if self._expected and (
                 found != self._expected if self.finished else not found >= self._expected):
             self.damages.append(f'{METADATA_FILE}: it counts {self._expected.total()} messages, '

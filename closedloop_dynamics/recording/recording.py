@@ -21,9 +21,9 @@ from ..scene.text import read_scene_text
 from ..visual.trajectory import Trajectory, wrench_parts
 
 STATES, FORCES, LOG, SCENE = 'joint_states', 'constraint_forces/', 'replay_log', 'scene'
-# Of couplings and prescribed motions.
+# Topics of couplings and prescribed motions.
 EFFORTS = ('coupling_forces', 'tooth_forces', 'motion_forces')
-# Of joints with an orientation.
+# Topic of joints with an orientation.
 TURNED = 'multi_dof_joint_states'
 
 

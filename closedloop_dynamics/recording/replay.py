@@ -7,8 +7,8 @@ from dataclasses import dataclass, field, fields, replace
 
 import numpy as np
 
-from ..integration.registry import ADAPTIVE, AUTO, INTEGRATORS
 from ..mechanism.errors import SimulationError
+from ..scene.integrators import ADAPTIVE, AUTO, INTEGRATORS
 from ..simulation.simulation import Simulation
 from ..visual.tables import short, text_table
 from ..visual.trajectory import magnitudes, Trajectory

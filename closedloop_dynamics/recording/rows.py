@@ -18,9 +18,9 @@ import re
 import numpy as np
 
 from .errors import RecordingError
+from ..kinematics.geometry import Geometry
 from ..kinematics.modeling import extent
 from ..kinematics.second_order import scene_as_it_moves
-from ..mechanism.closure import closure
 from ..mechanism.kinematics import body_poses, named_point
 from ..scene.text import read_scene_text, scene_text
 from ..visual.trajectory import from_rows, without_marks
@@ -28,7 +28,7 @@ from ..visual.trajectory import from_rows, without_marks
 # Share of the mechanism's size by which points and closure may differ from the rows', and share
 # of a closure error itself: large ones depend on how directions are compared.
 TOLERANCE, OF_CLOSURE = 1e-6, 0.01
-# Of single precision, which pages have: how much of a coordinate is lost at most.
+# Largest share of a coordinate that single precision loses, which pages have.
 SINGLE = 2.0 ** -24
 # What may follow the name of a column.
 UNIT = re.compile(r' \[[^]]*\]$')
@@ -148,7 +148,8 @@ def _require_geometry(path, scene, motion, columns):
              for axis in ('xy' if mechanism.planar else 'xyz')], axis=-1)
         - named_point(mechanism, poses, point.name) for point in mechanism.points}
     if 'closure' in columns:
-        found, recorded = closure(mechanism, motion.position), columns['closure']
+        equations, recorded = Geometry(mechanism).equations, columns['closure']
+        found = np.array([equations.move(q).closure_error() for q in motion.position])
         differences['closure error'] = np.maximum(
             np.abs(found - recorded) - OF_CLOSURE * recorded, 0.0)[:, np.newaxis]
     for name, difference in differences.items():

@@ -11,11 +11,11 @@ import time
 import numpy as np
 
 from ..engine.types import EVALUATIONS
-from ..integration.registry import AUTO, FIXED, INTEGRATORS
 from ..kinematics.redundancy import wrench_names
 from ..mechanism.coordinates import QUANTITIES
 from ..mechanism.errors import SimulationError
 from ..mechanism.mechanism import CUT_WITHOUT_MOMENT, JOINT_FREEDOMS, REVOLUTE
+from ..scene.integrators import AUTO, FIXED, INTEGRATORS
 from ..simulation.budget import FINEST
 from ..simulation.readings import readings_of
 from ..simulation.rollout_run import TIME_ROUNDING

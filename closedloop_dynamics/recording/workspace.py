@@ -15,6 +15,7 @@ from typing import Dict, Mapping, Optional, Tuple
 
 import numpy as np
 
+from .quantities import Quantity
 from ..kinematics.driven import DrivenKinematics
 from ..kinematics.pose_grid import (
     angles_of, Axis, begun, LEADING, orientation_of, Platform, PoseGrid, TURN, turn_between)
@@ -26,15 +27,15 @@ from ..scene.text import scene_text
 
 FREE, REACHED, AT_LIMIT, COLLIDES = range(4)
 MEANINGS = ('not reached', 'reached', 'beyond a limit of a joint', 'links too near')
-# Quantity -> unit and description.
-QUANTITIES = {
-    'condition': ('1', 'condition number of the Jacobian; turns times the arm'),
-    'force': ('N', 'largest force in every direction that the actuated joints can hold'),
-    'stiffness': ('N/m', 'least stiffness of the point, the body being free to turn'),
-}
+QUANTITIES = {one.name: one for one in (
+    Quantity('condition', '1', None, 'condition number of the Jacobian; turns times the arm'),
+    Quantity('force', 'N', None,
+             'largest force in every direction that the actuated joints can hold'),
+    Quantity('stiffness', 'N/m', None,
+             'least stiffness of the point, the body being free to turn'))}
 # Nodes along each axis, of a grid that is not given; of the grid that finds its range.
 PLANAR_NODES, SPATIAL_NODES, SEARCH_NODES = 200, 40, 33
-# Of a grid; and angles beyond which nothing is left of their digits [rad].
+# Most nodes of a grid; largest angle, beyond which its digits are lost [rad].
 MOST_NODES, MOST_TURNED = 100_000_000, 1e6
 # Margin around the reachable range, in steps of the grid that finds it.
 ROOM = 1.5
@@ -57,7 +58,7 @@ class Request:
     #: First, last and number of the point's coordinates by ``'x'``, ``'y'``, ``'z'`` [m]; of those
     #: not given, what is reached is looked for.
     axes: Dict[str, Tuple[float, float, int]] = field(default_factory=dict)
-    #: Of the orientation that is held [rad]: one in the plane, in space about x, y and z of the
+    #: Angles of the held orientation [rad]: one in the plane, in space about x, y and z of the
     #: world, one after the other. That of the scene's start when None.
     angles: Optional[Tuple[float, ...]] = None
     #: Orientations instead: first, last and number of the angles by axis.
@@ -66,7 +67,7 @@ class Request:
     #: not given.
     torque_limit: Dict[str, float] = field(default_factory=dict)
     stiffness: Dict[str, float] = field(default_factory=dict)
-    #: Of joint coordinates [rad or m].
+    #: Ranges of joint coordinates [rad or m].
     limits: Dict[str, Tuple[float, float]] = field(default_factory=dict)
     #: Least distance of links that no joint joins, each a segment between its joints [m].
     clearance: Optional[float] = None
@@ -230,7 +231,8 @@ class _State:
             out.variables['orientation'].units = 'rad'
             for name, values in ({} if found is None else found.quantities).items():
                 _variable(out, name, values, grid, sizes)
-                out.variables[name].units, out.variables[name].long_name = QUANTITIES[name]
+                out.variables[name].units = QUANTITIES[name].unit
+                out.variables[name].long_name = QUANTITIES[name].meaning
             for k, curve in enumerate(() if found is None else found.curves):
                 points = {f'curve_{k}_points': len(curve.places), 'curve_axis': 2}
                 _variable(out, f'curve_{k}', curve.places, tuple(points), points)

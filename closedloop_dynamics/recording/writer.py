@@ -25,7 +25,7 @@ with of_an_extra():
     import zstandard
 
 FORMAT_VERSION = 9
-# Of ROS, newest first.
+# Distributions of ROS, newest first.
 DISTRIBUTIONS = ('lyrical', 'kilted', 'jazzy')
 # What each storage can be compressed with.
 COMPRESSIONS = {'mcap': ('none', 'zstd', 'lz4'), 'sqlite3': ('none', 'zstd')}

@@ -17,7 +17,7 @@ import subprocess
 import sys
 
 COMMAND = (sys.executable, '-m', 'closedloop_dynamics.ros.background')
-# Of prctl(): which signal a process gets when its parent ends.
+# Option of prctl(): the signal that a process gets when its parent ends.
 _PR_SET_PDEATHSIG = 1
 
 

@@ -12,7 +12,7 @@ import numpy as np
 from rclpy.event_handler import SubscriptionEventCallbacks
 from rclpy.qos import QoSProfile
 
-# Of services and their clients. The answers of a service share one topic: with rclpy's ten, those
+# QoS of services and clients. The answers of a service share one topic: with rclpy's ten, those
 # to calls that are not read in time are lost, whichever node called.
 SERVICE_QOS = QoSProfile(depth=1000)
 NOT_ACTUATED = 'efforts of joints not actuated'

@@ -38,7 +38,7 @@ ABOVE = 0.2
 # Widths and lengths of links and arrows, as shares of the size.
 LINK_WIDTH, SLIDER_SIZE = 0.06, 0.1
 BLOCK = (1.6, 1.0, 0.4)
-# Of arrows: diameter of the shaft, and of the head, and its length.
+# Arrows: diameter of the shaft, and of the head, and its length.
 ARROW = (0.025, 0.06, 0.09)
 # In space: width of links, and width and half the length of the lines along axes of joints.
 BAR_WIDTH, AXIS_WIDTH, AXIS_LENGTH = 0.04, 0.008, 0.12

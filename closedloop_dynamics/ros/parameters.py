@@ -26,7 +26,7 @@ _EXAMPLES = {
 }
 # Whole numbers serve as floating-point ones.
 _WIDER = {_Type.INTEGER: _Type.DOUBLE, _Type.INTEGER_ARRAY: _Type.DOUBLE_ARRAY}
-# Of the text of --help.
+# Width of the text of --help.
 _HELP_WIDTH = 96
 
 
@@ -75,7 +75,7 @@ class Parameter(Setting):
         return ', '.join(choice or "''" for choice in self.choices)
 
 
-# Of every node that reads scenes.
+# Parameter of every node that reads scenes.
 ALLOW_CODE = Parameter(
     'allow_code', [''],
     'Python files that run first: they register effects that the scene names, which runs no code '

@@ -5,9 +5,9 @@
 
 from dataclasses import replace
 
-from closedloop_dynamics.integration.registry import INTEGRATORS, STABILISATIONS
 from closedloop_dynamics.ros.pacing import AS_FAST_AS_POSSIBLE, LOCKSTEP, REALTIME
 from closedloop_dynamics.ros.parameters import ALLOW_CODE, Parameter
+from closedloop_dynamics.scene.integrators import INTEGRATORS, STABILISATIONS
 
 METHOD = ('integrator', 'step_size', 'stabilisation', 'accuracy', 'budget')
 

@@ -37,7 +37,7 @@ QUEUE_DEPTH = 10
 # held up would be answered too late, which can make a control loop unstable. Several may wait all
 # the same: one of another publisher, which is not usable, must not take the place of the newest.
 STATE_DEPTH = 10
-# Of orientations each is kept until its state has come.
+# Each orientation is kept until its state has come.
 ORIENTATION_DEPTH = 1
 # Period of the search for the simulator [s].
 QUESTION_PERIOD = 0.1

@@ -69,7 +69,7 @@ QOS = QoSProfile(depth=1)
 # less where states come rarely: so many times per second over the states per second. It answers
 # states that are a period or two old. What weight takes away, its integral gives back.
 DRIVE_RATE, DRIVE_SHARE, INTEGRAL = 50.0, 0.1, 0.3
-# Of a drive; others would need the time between two states.
+# Modes of a drive; others would need the time between two states.
 MODES = TORQUE, POSITION
 # The period is the longest of so many.
 PERIODS = 9

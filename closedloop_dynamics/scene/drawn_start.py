@@ -12,8 +12,8 @@ import math
 
 import numpy as np
 
+from ..kinematics.geometry import Geometry
 from ..kinematics.modeling import extent
-from ..mechanism.closure import closure_errors, coupling_errors
 from ..mechanism.fields import among, FieldError, nearest
 from ..mechanism.kinematics import body_poses, pose_of, world_points
 from ..mechanism.mechanism import (
@@ -65,10 +65,12 @@ def drawn_position(mechanism, places, poses, start):
             q, own = _carried(mechanism, drawn, joint, q, size)
             loose[own] = 0.0
 
+    equations = Geometry(mechanism).equations
+
     def errors(position, closed=CLOSED):
         bodies = body_poses(mechanism, position)
-        return np.array([*drawn.errors(bodies, size), *(closed * np.array([
-            *closure_errors(mechanism, bodies), *coupling_errors(mechanism, position)]))])
+        return np.array([*drawn.errors(bodies, size),
+                         *closed * equations.move(position).closures()[0]])
 
     def missed(position):
         return np.abs(errors(position, 1.0)).max(initial=0.0) / size
@@ -193,7 +195,7 @@ def _carried(mechanism, drawn, joint, q, size):
         return np.array(drawn.errors(body_poses(mechanism, position), size, joint.child))
 
     def cost(position):
-        # Of two ways to the same place the one on which rods come out of their cylinders.
+        # Of two ways to the same place, prefer that on which rods come out of their cylinders.
         slid = position[coordinates.place[own]][coordinates.lengths[own]]
         missed = np.abs(errors(position)).max() / size
         return missed * (missed > REACHED), np.count_nonzero(slid < 0.0)

@@ -18,7 +18,7 @@ from ..mechanism.config import shipped_path
 from ..mechanism.document import with_scalars
 from ..mechanism.mechanism import MechanismError
 
-# Of the file of the mechanism beside that of the scene.
+# Name of the file of the mechanism beside that of the scene.
 MECHANISM = '{}_mechanism.yaml'
 
 

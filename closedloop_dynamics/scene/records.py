@@ -9,11 +9,11 @@ import hashlib
 from pathlib import Path
 from typing import Any, Dict, Optional, Tuple, Union
 
+from .integrators import (
+    ADAPTIVE, AUTO, BAUMGARTE, FORMER_INTEGRATORS, INTEGRATORS, STABILISATIONS)
 from ..effects.effect_set import require_one_drive_each
 from ..effects.registry import EFFECTS
 from ..effects.traced_effect import TracedEffect
-from ..integration.registry import (
-    ADAPTIVE, AUTO, BAUMGARTE, FORMER_INTEGRATORS, INTEGRATORS, STABILISATIONS)
 from ..mechanism.checks import freedom, list_of, name, number, one_of, positive, text
 from ..mechanism.fields import among, at, FieldError, keys_of, mapping, normalise, shown
 from ..mechanism.mechanism import Mechanism
@@ -154,7 +154,7 @@ def require_no_budget(method: Method, what: str) -> None:
 
     """
     if method.by_budget:
-        raise FieldError(f'no budget for {what}, which is the same however long it takes',
+        raise FieldError(f'no budget for {what}, whose steps do not depend on their cost',
                          shown(method.budget), f'an accuracy, such as {method.accuracy:g}',
                          ('method', 'budget'))
 

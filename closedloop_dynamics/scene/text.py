@@ -25,7 +25,7 @@ from ..mechanism.validation import SECTIONS
 
 FORMAT = 1
 MECHANISM_FILE = 'mechanism.yaml'
-# Of a file, where a mapping could be divided.
+# Longest line of a file where a mapping could be divided.
 LONGEST_LINE = 110
 
 

@@ -10,7 +10,7 @@ FINEST, COARSEST, DECADE = 1e-9, 1e-2, 10.0
 # Time of the clock in one measurement [s]; the smaller one of two in a row counts, as other
 # programs disturb single ones.
 INTERVAL = 0.05
-# Of DOP853: a decade of accuracy takes this many times the computing, as its order is eight.
+# Order of DOP853: the cost of a decade of accuracy grows by its root.
 ORDER = 8
 GROWTH = DECADE ** (1.0 / ORDER)
 # Share of real time that computing may take by the clock, the time in which other programs have

@@ -105,7 +105,7 @@ class CutJoints:
         # Efforts act on the freedom's own body A.
         self._signs = [-1.0 if one.exchanged else 1.0 for one in known.values()]
         self._table = EffectTable.of(model, model, cuts=(self._index, self._values))
-        # Of spherical joints the rows of bodies B, then of A; the joints' axes in their frames.
+        # Spherical joints: the rows of bodies B, then of A; the joints' axes in their frames.
         balls = [cut for cut in mechanism.cut_joints
                  if cut.name in self._coordinates.with_orientation]
         ends = [(placements[cut.body_b], of_quaternion(cut.orientation)) for cut in balls]

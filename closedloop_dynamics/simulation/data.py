@@ -17,15 +17,14 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from .cut_joints import acted_in, coordinate_arrays, CutJoints
+from .evaluator import Evaluator, QUANTITIES, request
 from .guards import CLOSING
 from .inverse_dynamics import InverseDynamics
+from .system import (
+    build_system, LOOPS, number_of_equations, parts_of_state, refine, System, with_equations)
 from ..effects.effect import NameResolver
 from ..effects.effect_set import EffectSet
 from ..engine import native, types as t
-from ..integration.evaluation import Evaluator, QUANTITIES, request
-from ..integration.registry import PROJECTION
-from ..integration.system import (
-    build_system, LOOPS, number_of_equations, parts_of_state, refine, System, with_equations)
 from ..kinematics.assembly import Assembler
 from ..kinematics.geometry import Geometry
 from ..kinematics.modeling import extent
@@ -38,6 +37,7 @@ from ..mechanism.errors import AssemblyError, SimulationError
 from ..mechanism.fields import at
 from ..mechanism.mechanism import Mechanism, Point
 from ..mechanism.named_array import reals
+from ..scene.integrators import PROJECTION
 from ..scene.records import Method, Scene
 
 # Torques, or numbers of a state, by name or in their order.
@@ -69,7 +69,7 @@ class Data:
         Names of the entries of the torques that ``Simulation.advance`` takes: those of
         ``joint_names``, then ``acted``.
     decomposition : mechanism.decomposition.Decomposition
-    system : integration.system.System
+    system : simulation.system.System
     clock : callable
         Returns the time of the state [s]; of a run its own.
     exchanges : int
@@ -281,7 +281,7 @@ class Data:
         self._elsewhere = np.zeros_like(self.integrated)
         asked = request(system, self.own, self._allowed)
         self._evaluate_given = native.bind('evaluate_given', system.native, asked)
-        # Of all equations, in the present state and in that one.
+        # Multipliers of all equations, in the present state and in a given one.
         self._lam, self._lam_given = np.zeros(number_of_equations(system)), asked.lam
         self.find_multipliers: Callable[[], None] = native.bind(
             'find_multipliers', system.native, self.integrated, self._lam)
@@ -696,7 +696,7 @@ class Data:
 
         Returns
         -------
-        integration.evaluation.Evaluator
+        simulation.evaluator.Evaluator
             In the present state without torques; it works on a copy of the mechanism and of the
             effects, as they are now.
 
@@ -721,7 +721,7 @@ class Data:
         return made
 
     def _refuse(self, q: ArrayLike, qd: ArrayLike, torque: ArrayLike) -> None:
-        """Raise where a state or torques are none, or loops are open."""
+        """Raise where a state or torques are impossible, or loops are open."""
         self.require_closed(self._taken(q), vector('velocity', qd, len(self.joint_names)))
         self.joint_torques(torque)
 

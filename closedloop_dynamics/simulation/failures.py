@@ -7,12 +7,12 @@ import numpy as np
 
 from .guards import MOST_EXCHANGES
 from ..engine import types as t
-from ..integration.control import (
+from ..engine.status import (
     CONTACT_PASSED, MOST_EVALUATIONS, NO_PROGRESS, NOT_FINITE, OPEN_LOOP, POOR_EQUATIONS,
     RANK_REVEALING_WORK, TOO_MUCH_WORK)
 from ..mechanism.errors import ClosureError, NumericalError
 
-# Of the closure error at which loops count as open: from here on they may contradict one another.
+# Fraction of the closure limit above which loops may be contradictory.
 CONTRADICTION = 0.1
 # Contacts that a message names.
 MOST_NAMED = 3

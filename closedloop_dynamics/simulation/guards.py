@@ -19,11 +19,11 @@ import math
 import numpy as np
 
 from .cable_guard import CHECK_EVERY as CABLE_CHECK_EVERY
+from .run import GuardLimits, NEVER
+from .system import parts_of_state
 from ..engine.types import SINGULAR_COUNT
-from ..integration.registry import ADAPTIVE, AUTO, EXPLICIT, FIXED, INTEGRATORS
-from ..integration.run import GuardLimits, NEVER
-from ..integration.system import parts_of_state
 from ..mechanism.errors import ClosureError, NumericalError, SingularityError, StiffnessError
+from ..scene.integrators import ADAPTIVE, AUTO, EXPLICIT, FIXED, INTEGRATORS
 
 # Step size times fastest rate at which the explicit methods leave stability, along the
 # imaginary axis (springs without damping) or the negative real one (dampers).

@@ -35,7 +35,7 @@ def choose_independent(jac, first):
 
     ``jac``, shape (nc, nv), has full rank; ``first`` are taken before others: the actuated ones.
     """
-    # Of the null space, the row that is longest beside those that are chosen.
+    # The row of the null space that is longest beside those that are chosen.
     _, _, rows = np.linalg.svd(jac)
     left = rows[len(jac):].T.copy()
     before = np.isin(np.arange(len(left)), first)

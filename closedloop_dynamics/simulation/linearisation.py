@@ -232,7 +232,7 @@ class Linearisation:
         none = np.zeros((nv, m))
         of = {'position': (along, np.zeros((nv, n)), none), 'velocity': (bent, along, none),
               'acceleration': (by_position, by_velocity, by_torque)}
-        # Of orientations changes are reported in axes that turn.
+        # Changes of orientations are reported in axes that turn.
         turning = -self._spin(qd) @ along
         a = np.block([[turning[own], np.eye(n)], [by_position[own], by_velocity[own]]])
         b = np.concatenate((np.zeros((n, m)), by_torque[own]))

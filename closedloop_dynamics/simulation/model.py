@@ -17,11 +17,11 @@ from numpy.typing import ArrayLike
 
 from .data import Numbers, vector
 from .evaluation import Evaluation
+from .evaluator import Evaluator
 from .readings import Readings
 from .reduced import Reduced
 from ..codegen.equations import BY_ITSELF
 from ..engine import native
-from ..integration.evaluation import Evaluator
 from ..kinematics.assemblies import Assemblies, find_assemblies
 from ..kinematics.driven import BranchEndError, driven_mechanism, DrivenKinematics
 from ..kinematics.geometry import Geometry
@@ -117,10 +117,10 @@ class Model:
             raise TypeError(
                 f'Model: expected a Scene, as load_scene returns it, got {scene!r}')
         self._lock = RLock()
-        self._work = work = _Workspace(scene, self._lock)
+        self._work = work = _ModelData(scene, self._lock)
         self.scene, self.mechanism, self.coordinates = scene, work.mechanism, work.coordinates
         self.joint_names, self.actuated_joints = work.joint_names, work.actuated_joints
-        # Of each thread, where its readings are.
+        # The readings of each thread.
         self._reading = local()
         # By driven joints and points.
         self._driven: Dict[Any, DrivenKinematics] = {}
@@ -128,7 +128,7 @@ class Model:
         self._linear: Dict[Any, Tuple[Any, Any]] = {}
         # By all that they are made of.
         self._steppers: 'Dict[Any, Stepper]' = {}
-        # Of linear models in discrete time, by independent joints.
+        # Steps of linear models in discrete time, by independent joints.
         self._flow_steps: Dict[Tuple[str, ...], int] = {}
 
     def with_parameters(self, values: Mapping[str, float]) -> 'Model':
@@ -372,7 +372,7 @@ class Model:
         """
         self._work.require_state(state)
         if not hasattr(self._reading, 'work'):
-            self._reading.work = _Workspace(self.scene, RLock())
+            self._reading.work = _ModelData(self.scene, RLock())
         readings = self._reading.work.at(state)
         readings.system.tau[:] = readings.joint_torques(torque)
         return readings
@@ -632,8 +632,8 @@ class Model:
                 f'{", ".join(self.actuated_joints) or "nothing"}{effects}>')
 
 
-class _Workspace(Readings):
-    """Data that a model puts one state after the other into, while it holds a lock."""
+class _ModelData(Readings):
+    """Data of one state after the other of a model, which holds a lock meanwhile."""
 
     def __init__(self, scene: Scene, lock: Any) -> None:
         super().__init__(scene)

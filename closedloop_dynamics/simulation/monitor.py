@@ -8,9 +8,9 @@ import math
 
 import numpy as np
 
+from ..engine.status import CLOSER, FLOOR
 from ..engine.types import EVALUATIONS, RANK_REVEALING_COUNT
-from ..integration.control import CLOSER, FLOOR
-from ..integration.registry import AUTO, FIXED, INTEGRATORS
+from ..scene.integrators import AUTO, FIXED, INTEGRATORS
 
 # An accuracy counts as kept up to this factor.
 KEPT = 3.0
@@ -197,16 +197,16 @@ class Monitor:
             singular = health[RANK_REVEALING_COUNT] > 0.0
             if singular:
                 # Next to a singular configuration rounding errors grow, and a smaller tolerance
-                # makes them no smaller: the run's own may be all of the distance.
+                # does not reduce them: the distance may be the error of the reference run.
                 bound = max(bound / CLOSER, COMMON_ROUNDING)
                 present = max(present / CLOSER, COMMON_ROUNDING)
             if bound > KEPT * self._method.accuracy:
                 cause = (
                     'as the motion came next to a singular configuration, where rounding errors '
-                    'grow and all of the distance to the reference run may be its own'
+                    'grow, and the distance to the reference run may be the error of that run'
                     if singular else
-                    'although the smallest tolerance there is was taken: differences in the last '
-                    'digit grow that large in this motion'
+                    'although the tolerance was the smallest one: rounding errors grow to that '
+                    'size in this motion'
                     if made.tolerance <= FLOOR else
                     'as the budget did not allow for more' if budget is not None else
                     'before the tolerance was tightened. Ask for a smaller accuracy')

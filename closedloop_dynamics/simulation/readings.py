@@ -4,7 +4,6 @@
 """Readings of the present state: accelerations, forces, energies and places."""
 
 from functools import partial
-import math
 from typing import Any, Dict, List, Optional, Sequence, Tuple
 
 import numpy as np
@@ -52,7 +51,7 @@ class Readings(Data):
         self._couples = bool(self._coupled[0].any())
         self.acts_in_cuts = len(self.acted) > 0 or self._couples or any(
             measured(self.mechanism, coupling) for coupling in self.mechanism.couplings)
-        # Of the quantities of an evaluation, by name.
+        # Records of the quantities of an evaluation, by name.
         records: Dict[str, Sequence[Any]] = {
             'joint_forces': self.mechanism.joints, 'constraint_forces': self.cut_joints,
             'points': self.mechanism.points, 'body_poses': self.mechanism.bodies,
@@ -571,17 +570,3 @@ class Readings(Data):
 
         """
         return self.assembler.degrees_of_freedom(self.q)
-
-    @property
-    def energy_scale(self) -> float:
-        """Return work of weights and torques over the mechanism's length, and at 1 rad/s [J]."""
-        return self.passive_energy_scale + (
-            max(self.assembler.extent, 1.0) * native.sum_of_sizes(self.system.applied))
-
-    @property
-    def passive_energy_scale(self) -> float:
-        """Return work of weights over the mechanism's length, and the energy at 1 rad/s [J]."""
-        length = self.assembler.extent
-        # With the energy of a rate: at rest without weight there is no other scale.
-        return self.mass * (
-            length * math.hypot(*self.system.model.gravity.tolist()) + length ** 2)

@@ -18,7 +18,7 @@ if TYPE_CHECKING:
 
 # Singular values below this share of the largest one are those of a singular position.
 RANK_TOLERANCE = 1e-8
-# Of forces and torques in space, those of a planar mechanism: along x and y, about z.
+# Indices of the components in space that a planar mechanism has: along x and y, about z.
 IN_PLANE = [0, 1, 5]
 ACTUATED = 'actuated'
 

@@ -15,8 +15,8 @@ import numpy as np
 from .rollout_run import (
     checked_quantities, FEWEST, finding_of, fits_simd, InitialState, MOST, nothing, record,
     record_all, SimdRuns, starts_as_given, STATE, TimeGrid)
-from ..integration.control import DONE
-from ..integration.stop_flag import StopFlag
+from ..engine.status import DONE
+from ..engine.stop_flag import StopFlag
 from ..mechanism.errors import SimulationError
 from ..mechanism.named_array import by_shapes, NamedArray, reals
 from ..scene.key_paths import changed, resolve
@@ -153,7 +153,7 @@ class _CopyPool:
         self._like = self._traits(simulation)
         # Pairs of a simulation and its batch runner.
         self.spare = []
-        # Of threads whose samples have parameters: simulations that take other numbers.
+        # Simulations that take other numbers, for threads whose samples have parameters.
         self.varying = []
 
     @staticmethod

@@ -15,18 +15,18 @@ from typing import Optional
 
 import numpy as np
 
+from .batch import build_batch, filled, find_energies, fits, Lane
 from .guards import CLOSING, energy_finding, ENERGY_WARN, LARGEST_MOTION, USUAL_TORQUE
+from .recorded_run import (
+    allocate_buffer, joint_forces, LOST, MOVED, run_samples, SHARE, TIME)
 from ..codegen.lanes import LANES, spread
 from ..engine import native
-from ..integration.batch import build_batch, filled, find_energies, fits, Lane
-from ..integration.control import DONE, INTERRUPTED, NOT_FINITE
-from ..integration.recorded_run import (
-    allocate_buffer, joint_forces, LOST, MOVED, run_samples, SHARE, TIME)
-from ..integration.registry import EXPLICIT, FIXED, INTEGRATORS, STABILISATIONS
+from ..engine.status import DONE, INTERRUPTED, NOT_FINITE
 from ..kinematics.assembly import TOLERANCE
 from ..mechanism.checks import one_of
 from ..mechanism.errors import SimulationError
 from ..mechanism.fields import at, FieldError
+from ..scene.integrators import EXPLICIT, FIXED, INTEGRATORS, STABILISATIONS
 
 STATE = ('position', 'velocity')
 QUANTITIES = (*STATE, 'acceleration', 'effort', 'constraint_forces', 'joint_forces', 'points',

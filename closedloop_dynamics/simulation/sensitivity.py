@@ -17,17 +17,17 @@ from .rollout import RolloutArguments, scheduled
 from .rollout_run import all_torques, TimeGrid
 from .simulation import Simulation
 from .step_derivatives import StepDerivatives, turned
+from .stepped_run import allocate_scratch, allocate_tape, RunInputs, SteppedRun
 from .traced_scene import require_derivatives
 from ..codegen.sensitivities import FORWARD, REVERSE
-from ..integration.control import (
+from ..engine.status import (
     DONE, INTERRUPTED, NOT_FINITE, OPEN_LOOP, POOR_EQUATIONS, SINGULAR)
-from ..integration.registry import (
-    BAUMGARTE, EXPLICIT, FIXED, INDEPENDENT, INTEGRATORS, STABILISATIONS)
-from ..integration.stepped_run import allocate_scratch, allocate_tape, RunInputs, SteppedRun
 from ..kinematics.state import State
 from ..mechanism.errors import ClosureError, NumericalError, SimulationError, SingularityError
 from ..mechanism.fields import among, FieldError
 from ..mechanism.named_array import by_shapes, frozen, reals, sealed
+from ..scene.integrators import (
+    BAUMGARTE, EXPLICIT, FIXED, INDEPENDENT, INTEGRATORS, STABILISATIONS)
 from ..scene.records import Method, require_no_budget
 
 _METHODS = tuple(name for name, each in INTEGRATORS.items()

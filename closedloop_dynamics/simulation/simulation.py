@@ -13,6 +13,7 @@ from numpy.typing import ArrayLike
 
 from .data import Numbers
 from .evaluation import Evaluation
+from .evaluator import Evaluator
 from .health import Health
 from .model import Model
 from .monitor import RunReport
@@ -21,7 +22,6 @@ from .rollout import Rollout, rollout
 from .stepping import Stepping
 from ..effects.effect import Effect
 from ..effects.energy_balance import Energies
-from ..integration.evaluation import Evaluator
 from ..kinematics.motions import moving
 from ..kinematics.state import State
 from ..mechanism.mechanism import Mechanism
@@ -77,7 +77,7 @@ class Simulation:
 
     """
 
-    # Of the readings and of the run.
+    # Quantities of the readings and of the run.
     acceleration: np.ndarray
     accuracy: float
     body_poses: np.ndarray

@@ -7,6 +7,7 @@ from functools import cache
 
 import numpy as np
 
+from .stepped_run import LaneRoutines, StepRoutines
 from .traced_scene import TracedScene
 from ..codegen import function_table as calls
 from ..codegen.machine_code import LANES, machine_code, PACKED, SCALAR
@@ -16,7 +17,6 @@ from ..codegen.sensitivities import (
     ACCELERATION_FORWARD, CLOSURE, CLOSURE_FORWARD, FORWARD, LANE_COLUMNS, NAMES, RESULT, SEED,
     SensitivityTrace, TABLE_COLUMNS, WRENCH, WRENCH_FORWARD)
 from ..engine import native
-from ..integration.stepped_run import LaneRoutines, StepRoutines
 from ..mechanism.errors import SingularityError
 
 

@@ -15,17 +15,17 @@ from .parameters import parameter_arrays
 from .sensitivity import require_differentiable
 from .simulation import Simulation
 from .step_derivatives import StepDerivatives
+from .stepped_run import (
+    allocate_chart, allocate_scratch, allocate_steps, allocate_tape, RunInputs, SteppedRun)
 from .traced_scene import require_derivatives
 from ..codegen.sensitivities import CLOSURE, FORWARD, REVERSE
 from ..engine import native
-from ..integration.control import (
+from ..engine.status import (
     DONE, INTERRUPTED, NOT_FINITE, OPEN_LOOP, POOR_EQUATIONS, SINGULAR)
-from ..integration.registry import INTEGRATORS, STABILISATIONS
-from ..integration.stepped_run import (
-    allocate_chart, allocate_scratch, allocate_steps, allocate_tape, RunInputs, SteppedRun)
 from ..kinematics.state import State
 from ..mechanism.errors import AssemblyError, ClosureError, NumericalError, SingularityError
 from ..mechanism.named_array import reals
+from ..scene.integrators import INTEGRATORS, STABILISATIONS
 from ..scene.records import Method
 
 # Steps of a period at most this share longer than the method's step size are rounding.

@@ -21,15 +21,14 @@ from .guards import (
     EnergyGuard, guard_limits, LARGEST_MOTION, opened_loops, StiffnessGuard, USUAL_TORQUE)
 from .monitor import Monitor, RunReport
 from .readings import Readings
+from .run import (
+    CABLE_LEAPT, CHOICE, COMMAND, ENERGY_LOST, FAILED, GuardLimits, INACCURATE, Run)
+from .system import AccelerationDerivatives, System, with_equations, with_partition
 from .traced_scene import refusals
 from ..effects.delay_line import DelayLine
 from ..engine import types as t
-from ..integration.control import (
+from ..engine.status import (
     CONTACT_PASSED, DONE, INTERRUPTED, NOT_FINITE, OPEN_LOOP, POOR_EQUATIONS, TOO_MUCH_WORK)
-from ..integration.registry import INTEGRATORS, ROSENBROCK
-from ..integration.run import (
-    CABLE_LEAPT, CHOICE, COMMAND, ENERGY_LOST, FAILED, GuardLimits, INACCURATE, Run)
-from ..integration.system import AccelerationDerivatives, System, with_equations, with_partition
 from ..kinematics import change_points
 from ..kinematics.modeling import extent
 from ..kinematics.state import State
@@ -38,10 +37,11 @@ from ..mechanism.errors import (
     StiffnessError)
 from ..mechanism.fields import at, FieldError
 from ..mechanism.named_array import reals
+from ..scene.integrators import INTEGRATORS, ROSENBROCK
 from ..scene.records import Method
 
-# Other equations replace those in use where they are further from dependent by the first factor;
-# by the second one where code is for those in use alone, as loops over bodies take longer.
+# Other equations replace those in use where their smallest singular value is larger by the first
+# factor; by the second one where code is for those in use alone, as loops over bodies take longer.
 BETTER, WORTH_LOOPS = 3.0, 10.0
 # Times closer than this share of a step are the same.
 SAME_TIME = 1e-9
@@ -55,7 +55,7 @@ class Stepping:
     ----------
     data : readings.Readings
         The state that is advanced.
-    run : integration.run.Run
+    run : simulation.run.Run
         The run that the engine advances.
     monitor : monitor.Monitor
         Account of cost and local error.
@@ -646,27 +646,6 @@ class Stepping:
         for name, keys in profiles.items():
             self.set_effect(name, **keys)
 
-    def set_step_size(self, step_size: float) -> None:
-        """
-        Change the step size while running; time and state go on.
-
-        Parameters
-        ----------
-        step_size : float
-            [s], positive.
-
-        Raises
-        ------
-        ValueError
-            Where it is no positive number; the present one stays.
-        StiffnessError
-            Where the scene is too stiff for it; the present one stays.
-
-        """
-        method = replace(self.method, step_size=step_size)
-        self.stiffness.check(self._state, method.step_size)
-        self._set_method(method, self.stiffness)
-
     def prepare_method(self, **changes: Any) -> Callable[[], None]:
         """
         Check and prepare another method, leaving everything as it is.
@@ -719,7 +698,15 @@ class Stepping:
             self.run.set_time(data.time, 0)
             self.run.take_method(run)
             self.monitor = Monitor(method, self.run)
-            self._set_method(method, StiffnessGuard(data.system, method, self._effects.own))
+            data.scene = replace(data.scene, method=method)
+            self.stiffness = StiffnessGuard(data.system, method, self._effects.own)
+            self._set_limits()
+            self.run.restart_guards()
+            self._set_budget(method)
+            data.system.settings.baumgarte_gain[...] = (
+                1.0 / method.time_constant if method.stabilisation == 'baumgarte' else 0.0)
+            self.run.restart(False)
+            self.run.jump()
 
         return take_effect
 
@@ -732,18 +719,6 @@ class Stepping:
                 f'stabilisation: {stabilisation} may close. Reset, or set a state, first.')
         if stabilisation == 'independent':
             data.assembler.require_independent(data.q)
-
-    def _set_method(self, method: Method, stiffness: StiffnessGuard) -> None:
-        data = self.data
-        self.run.set_time(data.time, 0)
-        data.scene, self.stiffness = replace(data.scene, method=method), stiffness
-        self._set_limits()
-        self.run.restart_guards()
-        self._set_budget(method)
-        data.system.settings.baumgarte_gain[...] = (
-            1.0 / method.time_constant if method.stabilisation == 'baumgarte' else 0.0)
-        self.run.restart(False)
-        self.run.jump()
 
     def report(self) -> RunReport:
         """As ``Simulation.report``."""

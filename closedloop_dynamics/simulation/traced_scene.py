@@ -97,7 +97,7 @@ def structure(data):
     rows = () if table is None else table.enabled_rows
     return tuple((
         row.number, row.law.name, *row.law.parts(row), *row.joints, *row.bodies,
-        # Of a profile the force is a number.
+        # The force of a profile is a number.
         *(() if row.law.role == PROFILE else (
             *row.law.terms(row), *row.arms.tolist(), *row.data.tolist())))
         for row in rows)

@@ -10,8 +10,8 @@ import time
 
 from .reference import compute_reference, difference, record, Reference
 from ..engine.types import EVALUATIONS
-from ..integration.registry import ADAPTIVE, AUTO, INTEGRATORS, STABILISATIONS
 from ..mechanism.errors import SimulationError
+from ..scene.integrators import ADAPTIVE, AUTO, INTEGRATORS, STABILISATIONS
 from ..simulation.simulation import Simulation
 
 DEFAULT_INTEGRATOR, DEFAULT_STABILISATION = 'rk4', 'projection'

@@ -20,7 +20,7 @@ CSV_HEADER = (
 LINE_COLORS = (*COLORS, '#E69F00')
 MARKERS = 'osD^vP*X<>'
 REAL_TIME = 1.0
-# An error of positions that is none [rad or m].
+# Error of positions that counts as zero [rad or m].
 SMALLEST = 1e-16
 _UNITS = ((1.0, 's'), (1e-3, 'ms'), (1e-6, 'µs'))
 

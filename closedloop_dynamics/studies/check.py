@@ -8,7 +8,6 @@ from textwrap import indent
 
 from ..effects.registry import effect_type
 from ..formats.building import lines
-from ..integration.registry import ADAPTIVE, AUTO, BAUMGARTE, INTEGRATORS, STABILISATIONS
 from ..kinematics.assembly import Assembler, MOST_EQUATIONS
 from ..kinematics.geometry import Geometry
 from ..kinematics.global_assembly import ClosureProblem, find_closed
@@ -20,6 +19,7 @@ from ..mechanism.digits import digit_notes
 from ..mechanism.fields import FieldError
 from ..mechanism.mechanism import CUT_JOINT_EQUATIONS, Mechanism, MechanismError
 from ..mechanism.reader import with_cuts
+from ..scene.integrators import ADAPTIVE, AUTO, BAUMGARTE, INTEGRATORS, STABILISATIONS
 from ..scene.model_scene import assembled
 from ..scene.tree_choice import count_operations
 from ..visual.tables import text_table

@@ -163,7 +163,7 @@ class Study:
     again: Ratio
     off: Ratio
     whole: Ratio
-    # Of all whose change is below the threshold, left out together; None unless there are several.
+    # Finding on all effects whose change is below the threshold; None unless there are several.
     together: Optional[Finding] = None
 
 

@@ -22,7 +22,7 @@ NOTE = (
     'scene. time without: the product of these two.\nposition (of orientations the angle), places '
     'of the named points, effort, force (cut joints), energy (kinetic and\nstored): the largest '
     'change that leaving them out makes; dissipated: by them, in the scene as it is.')
-# A share of the time that is none [1].
+# Share of the time that counts as zero [1].
 NEGLIGIBLE = 0.02
 
 

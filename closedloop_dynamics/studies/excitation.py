@@ -25,7 +25,7 @@ from ..simulation.data import Data
 
 # Instants at which a motion is looked at, and motions at random to begin with.
 INSTANTS, RANDOM = 40, 12
-# Of a motion that the mechanism cannot make: the logarithm of a condition number.
+# Logarithm of the condition number that stands for a motion that the mechanism cannot make.
 IMPOSSIBLE = 50.0
 
 

@@ -51,7 +51,7 @@ DEPENDENT, NOTHING, UNSEEN = 1e-8, 1e-7, 1e-11
 UNDETERMINED = 1e-6
 # A parameter is identified where its standard deviation is below this share of it.
 IDENTIFIED = 0.1
-# Of intervals: how often they hold the true value.
+# Probability with which intervals hold the true value.
 CONFIDENCE = 0.95
 # Weights are found again so many times; no standard deviation is below this share of the torques.
 WEIGHTINGS, LEAST_DEVIATION = 3, 1e-12
@@ -61,7 +61,7 @@ STEP, TRIED = 1e-3, ((FIRST_4, 1.0), (FORWARD_4, 1.0))
 CONVERGED, MOST_EVALUATIONS = 1e-13, 200
 # Joints further from where they were seen are on another branch [rad, or of the size].
 ELSEWHERE = 0.2
-# Of a body's mass and the mechanism's size: parameters of a body that are small.
+# Share of a body's mass and the mechanism's size below which its parameters are small.
 SMALL = 0.1
 BODY_KEYS = ('mass', 'center_of_mass', 'inertia')
 # What of a scene decides which torques a motion takes.

@@ -41,7 +41,7 @@ from ..sweep.runner import without_numbers
 STARTS, FRONT, POSES = 8, 9, 73
 # Random machines from which a start is chosen, and how many are tried to find as many.
 CHOICE, DRAWS = 5, 300
-# Of the optimisers, relative; how often SLSQP goes on from where it stopped.
+# Relative accuracy and iterations of the optimisers; how often SLSQP goes on where it stopped.
 ACCURACY, ITERATIONS, ROUNDS = 1e-9, 100, 4
 # Improvement that is worth another round, of the aim; aims that differ by less are the same.
 WORTH, SAME = 1e-5, 1e-6
@@ -108,7 +108,7 @@ class Optimum:
     problem: Problem
     #: By aim and start, ``'aim 1 start 0'``.
     starts: Dict[str, Candidate] = field(default_factory=dict)
-    #: Of two aims, none of which is worse than another in both, by the first aim.
+    #: With two aims: candidates that no other surpasses in both, by the first aim.
     front: List[Candidate] = field(default_factory=list)
     finished: bool = False
 

@@ -26,7 +26,7 @@ from ..simulation.simulation import Simulation
 ACCURACIES = (1e-4, 1e-6, 1e-8)
 REPEATS = 5
 
-# Of the crank's angle and the six others at 0.03 s: F. Mazzia, C. Magherini, "Test Set for Initial
+# The crank's angle and the six others at 0.03 s: F. Mazzia, C. Magherini, "Test Set for Initial
 # Value Problem Solvers", release 2.4, University of Bari (2008), problem Andrews. Two integrators
 # here agree with each other to 1e-12 rad, and differ from it by up to 1.4e-9 rad.
 ANDREWS = {

@@ -17,8 +17,8 @@ import time
 
 import numpy as np
 
-from ..integration.registry import ADAPTIVE, INTEGRATORS
 from ..mechanism.errors import SimulationError
+from ..scene.integrators import ADAPTIVE, INTEGRATORS
 from ..simulation.simulation import Simulation
 
 

@@ -17,7 +17,7 @@ from ..mechanism.fields import FieldError
 
 # Places between two poses at which the nearest place of a curve is looked for, and corrections.
 BETWEEN, CORRECTIONS = 4, 20
-# Of functions of one number: function, derivative by the operand x and the value f.
+# Functions of one number: function, derivative by the operand x and the value f.
 _OF_ONE = {
     'sin': (np.sin, lambda x, f: np.cos(x)), 'cos': (np.cos, lambda x, f: -np.sin(x)),
     'tan': (np.tan, lambda x, f: 1.0 + f * f),

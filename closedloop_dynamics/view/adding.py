@@ -16,7 +16,7 @@ from ..scene.source import with_entries
 
 # Mass of a bar [kg/m], and numbers of others by what they are.
 BAR_MASS, STIFFNESS, DAMPING, FORCE = 1.0, 100.0, 0.1, 1.0
-# Of a bar [m].
+# Shortest length of a bar [m].
 SHORTEST = 1e-3
 # What each part is added by.
 NEEDED = {

@@ -58,7 +58,7 @@ class Plot:
     log: bool = False
     # Whether it is about the method that computes the motion, not about the motion.
     method: bool = False
-    # Of an estimate: the column of its standard deviation, counted from the first plot.
+    # For an estimate: the column of its standard deviation, counted from the first plot.
     deviation: Optional[int] = None
 
 

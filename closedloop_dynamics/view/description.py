@@ -17,12 +17,12 @@ from .machine_shapes import BLOCK, BLOCK_WIDTH, joint_axis, MachineShapes
 from .meshes import MeshError, MOST_OF_ALL, MOST_TRIANGLES, read_mesh
 from .messages import FASTEST, SLOWEST
 from ..effects.registry import effect_type
-from ..integration.registry import INTEGRATORS, STABILISATIONS
 from ..kinematics.modeling import extent
 from ..mechanism.decomposition import decompose
 from ..mechanism.meanings import documented, unit_in
 from ..mechanism.mechanism import BOX, CYLINDER, DISTANCE, GROUND, MESH, SPHERE
 from ..mechanism.rotations import in_three, of_quaternion
+from ..scene.integrators import INTEGRATORS, STABILISATIONS
 from ..visual.appearance import (
     body_colors, CONTACT_COLOR, CUT_COLOR, marked_points, outline, solid)
 from ..visual.urdf import depths

@@ -19,8 +19,8 @@ import math
 import numpy as np
 
 from .body_frames import BodyFrames
+from ..kinematics.geometry import Geometry
 from ..mechanism.between import BETWEEN
-from ..mechanism.closure import closure_errors, coupling_errors
 from ..mechanism.cylinders import SECTION as CYLINDERS
 from ..mechanism.expressions import names_of, Parameters
 from ..mechanism.fields import FieldError, shown
@@ -311,13 +311,12 @@ class Words:
             return {keys: frames.world(bodies[keys], place)
                     for keys, place in own_places.items()}
 
-        def levels(mechanism, own_places, q):
+        def levels(mechanism, equations, own_places, q):
             """Return what is to vanish, the most important first."""
             poses = body_poses(mechanism, q)
             found = places(own_places, BodyFrames(mechanism, q))
-            closed = [*closure_errors(mechanism, poses), *coupling_errors(mechanism, q)]
             planes = slice(2 if mechanism.planar else 3)
-            return [np.array(closed, dtype=float),
+            return [equations.move(q).closures()[0],
                     size * apart(q, position)[held],
                     np.concatenate([(found[keys] - wanted)[planes] for keys in own]),
                     *(np.concatenate([np.zeros(0), *(
@@ -342,7 +341,7 @@ class Words:
             changed.clear()
             changed.update(zip(leaves, values))
             mechanism = self._built(leaves, values)
-            return mechanism, local(mechanism)
+            return mechanism, Geometry(mechanism).equations, local(mechanism)
 
         for _ in range(MOST_STEPS):
             increments = DIFFERENCE * np.maximum(np.abs(now), size)

@@ -64,7 +64,7 @@ class Driving:
         names = self._simulation.coordinates
         for name, drive in self.drives.items():
             place = self._places[name]
-            # Of an orientation there is no one speed.
+            # An orientation has no single speed.
             new = (SPEED, NEW_SPEED[bool(names.lengths[place])]) if names.place[place] >= 0 else (
                 TORQUE, 0.0)
             drive.set(*chosen.get(name, new), *self._now_at(name))

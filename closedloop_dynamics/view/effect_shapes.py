@@ -41,7 +41,7 @@ def effect_lines(mechanism, effects, rows, heights, above):
             ropes = {'kind': 'cable', 'name': name, 'ends': ends(record.points),
                      'radii': list(record.radii or ())}
             if record.axis is not None:
-                # Of the body of the first pulley.
+                # The body of the first pulley.
                 first = next(k for k, radius in enumerate(record.radii) if radius)
                 ropes['axis'] = [ropes['ends'][first][0], list(record.axis)]
             found.append(ropes)

@@ -16,7 +16,7 @@ from ..mechanism.fields import FieldError
 
 # Queue length for messages of pages; further ones are refused.
 MOST_WAITING = 1000
-# Of what was refused, or went wrong, so much is kept for pages that ask late.
+# So many notes on refusals and faults are kept for pages that ask late.
 MOST_NOTES = 5
 # Before the row of a frame: its number, how many samples follow the row, its time [s].
 HEADER = struct.Struct('<IId')

@@ -26,7 +26,7 @@ from ..visual.wheels import on_wheel
 
 # Files of the user's own that are looked at.
 MOST_FILES, LARGEST_FILE = 200, 200_000
-# Of a picture, and the margin in it [pixels]; how a machine in space is looked at [rad].
+# Size of a picture and its margin [pixels]; how a machine in space is looked at [rad].
 WIDTH, HEIGHT, MARGIN, OUTLINE = 150, 100, 10, 1.2
 YAW, PITCH, GRAY = 0.6, 0.35, '#8b929c'
 PICTURE = re.compile(r'/picture/(shipped|yours)/([A-Za-z0-9][A-Za-z0-9_-]{0,60})\.svg')

@@ -24,7 +24,7 @@ from ..visual.wheels import (
 DEPTH, BEHIND = 0.012, 0.015
 # Half the length of a block on a slide, and half its width; half the width of a slot.
 BLOCK, BLOCK_WIDTH, SLOT = 0.05, 0.03, 0.024
-# Of a bevel gear: its width in radii; the holes of wheels, as shares of the circle at the roots of
+# Width of a bevel gear in radii; the holes of wheels, as shares of the circle at the roots of
 # teeth; how far from its roller a follower has its block, in sizes of links.
 BEVEL_WIDTH, HOLE, SHAFT, STEM = 0.4, 0.8, 0.25, 0.6
 # The size that links are drawn by at least, as a share of that of the mechanism.
@@ -137,7 +137,7 @@ class MachineShapes:
         """
         found = []
         for kind, body, place, axis, mover, at in _slides(self._mechanism):
-            sides = self._sides(mover, kind, axis, thick)
+            sides = self._sides(mover, kind, thick)
             if kind == PRISMATIC and self._mechanism.planar:
                 at = [at[0] + self.stem(mover, thick), *at[1:]]
             found.append({
@@ -146,7 +146,7 @@ class MachineShapes:
                 'at': [*at, 0.0][:3], 'sides': sides, 'height': heights[mover]})
         return found
 
-    def _sides(self, mover, kind, axis, thick):
+    def _sides(self, mover, kind, thick):
         if kind == POINT_ON_LINE:
             return [-SLOT * thick, SLOT * thick]
         for rack in self.racks:

@@ -10,7 +10,7 @@ from ..mechanism.extras import remedy
 # Triangles of a mesh, and of all meshes of a machine, at most; cells along its longest side that
 # the points of one with more are put into.
 MOST_TRIANGLES, MOST_OF_ALL, CELLS = 6000, 24_000, 128
-# Of a file [bytes].
+# Largest file [bytes].
 LARGEST = 200_000_000
 SUFFIXES = ('.stl', '.obj', '.ply', '.glb', '.gltf', '.off', '.dae')
 

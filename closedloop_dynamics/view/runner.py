@@ -322,7 +322,7 @@ class Runner(Shown):
         self._end_grab()
         self._editing, chosen = on, self._driving.chosen
         if self.start_pose is not None:
-            # Of a simulation that starts there.
+            # The columns of a simulation that starts there.
             self._rebuilding.renew()
         self._do_reset(page)
         self._driving.restore(chosen)

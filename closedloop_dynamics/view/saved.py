@@ -12,7 +12,7 @@ from .thinning import Thinning
 from ..kinematics.modeling import extent
 from ..recording.run import Report, run
 
-# Of a recording, rows that are made at once; tolerances one after the other, where there are too
+# Rows of a recording that are made at once; factor of successive tolerances, where there are too
 # many rows.
 BLOCK, COARSER = 10_000, 4.0
 

@@ -9,7 +9,7 @@ from .thinning import Thinning
 from ..mechanism.errors import SimulationError
 from ..mechanism.fields import FieldError, shown
 
-# Of messages that come faster than frames, the newest counts.
+# Messages of which the newest counts where they come faster than frames.
 NEWEST = 'pull', 'pose', 'command', 'move', 'set'
 
 
@@ -25,7 +25,7 @@ class Shown:
         self.feed, self.holder, self.drives = None, None, {}
         # What is held: numbers of a body and of a place of it.
         self._grabbed, self._kinematic, self._hand = None, False, None
-        # Of states between frames: selection of those sent, and the newest.
+        # States between frames: selection of those sent, and the newest.
         self._thinning, self._newest = None, None
 
     # For each of both.

@@ -21,10 +21,10 @@ from .page import packed
 from ..effects.gravity import Gravity
 from ..effects.prescribed_motion import PrescribedMotion
 from ..export.wasm_source import choices_of, clocks_of, wasm_module
-from ..integration.tableau import DOP853
 from ..kinematics.modeling import extent, mechanism_arrays
 from ..mechanism.errors import SimulationError
 from ..scene.key_paths import changed, resolve
+from ..scene.tableau import DOP853
 from ..simulation.simulation import Simulation
 
 # Largest error of a step, as a share of one and the size of a number.

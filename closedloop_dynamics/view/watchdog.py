@@ -6,7 +6,7 @@
 import threading
 import time
 
-from ..integration.stop_flag import StopFlag
+from ..engine.stop_flag import StopFlag
 
 # Period of checking the clock [s].
 PERIOD = 0.03

@@ -123,7 +123,7 @@ class Animation:
         view = PLANE if mechanism.planar else perspective(all_places(mechanism, poses))
         forces = magnitudes(motion.forces)
         known = np.isfinite(forces).any()
-        # Of all that was recorded, not of the instants that frames happen to show.
+        # The largest force of the whole recording, not of the instants that frames show.
         largest = float(np.nanmax(forces)) if known else 0.0
         figure = Figure(figsize=(8.0, 8.0), layout='constrained', dpi=FRAME_DOTS_PER_INCH)
         above, below = figure.subplots(2, 1, height_ratios=[4, 1])

@@ -42,13 +42,13 @@ AXIS_LENGTH, DEPTH_LAYERS = 0.09, 0.4
 AXIS_DASHES = (0, (8, 2, 1, 2))
 # Least half width and height of a view, as a share of the extent.
 LEAST_VIEW = 0.2
-# Of the floor in a perspective: lines across the extent, about, and the gap below moving parts.
+# The floor in a perspective: lines across the extent, about, and the gap below moving parts.
 FLOOR_LINES, FLOOR_ROOM = 6, 0.03
 INK = '#333333'
 # Style of force arrows: keywords of matplotlib.patches.FancyArrowPatch.
 ARROW = {'arrowstyle': '-|>', 'color': FORCE_COLOR, 'linewidth': 1.8, 'shrinkA': 4.0,
          'shrinkB': 0.0, 'mutation_scale': 12.0, 'zorder': 33}
-# Of a pivot's triangle, and of the block of a slider, as shares of the picture's extent.
+# Sizes of a pivot's triangle, and of the block of a slider, as shares of the picture's extent.
 PIVOT_SIZE, SLIDER_SIZE = 0.035, 0.04
 # Above the positions in the background, below the strong one.
 GROUND_LAYER = 24.0

@@ -21,7 +21,7 @@ from ..mechanism.extras import remedy
 from ..mechanism.kinematics import body_poses, named_point, pose_of, world_points
 
 MILLIMETRES = 1e3
-# Of a joint's circle, and of a line's width, as shares of the extent.
+# Radius of a joint's circle, and width of a line, as shares of the extent.
 RADIUS, WIDTH = 0.012, 0.003
 # How near the end of a path is to its beginning where it is closed, of its extent.
 CLOSED = 1e-6

@@ -19,8 +19,8 @@ from ..mechanism.rotations import composed, CONJUGATE, rotation_vector
 # An error that is left is one of the request, not of rounding, above this [m, rad; of velocities
 # relative to the largest one].
 REACHED = 1e-9
-# Of Newton's method: longest change of a joint at once [rad, m], most iterations; singular values
-# below this share of the largest are none.
+# Newton's method: longest change of a joint at once [rad, m], most iterations; singular values
+# below this share of the largest count as zero.
 STRIDE, MOST, SMALLEST = 0.2, 100, 1e-7
 # Between the three poses of which a body's acceleration is the second difference: of a joint at
 # most [rad, m].

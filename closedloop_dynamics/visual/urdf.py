@@ -31,13 +31,13 @@ from ..mechanism.mechanism import CYLINDRICAL, FIXED, GROUND, HELICAL, PLANAR, P
 from ..mechanism.rotations import angles_of, of_quaternion
 
 WORLD = 'world'
-# Of links and pins, as shares of the mechanism's size.
+# Sizes of links and pins, as shares of the mechanism's size.
 WIDTH, THICKNESS, PIN_RADIUS = 0.06, 0.025, 0.045
 # Between bodies that a pin joins, so that they do not flicker where they overlap.
 LAYER = 0.027
 # URDF wants limits of a prismatic joint, a mechanism has none: these are beyond reach.
 REACH, NO_LIMIT = 100.0, 1e9
-# Of ros2_control: hardware that is reached by topics.
+# Hardware of ros2_control that is reached by topics.
 HARDWARE_PLUGIN = 'joint_state_topic_hardware_interface/JointStateTopicSystem'
 # Hardware that is the mechanism itself, and the bandwidth of its servos times the step size.
 MECHANISM_PLUGIN, PROMPTNESS = 'closedloop_hardware/MechanismSystem', 0.1
@@ -273,7 +273,7 @@ def _add_mechanism(robot, mechanism, model, step_size, sensors):
         'model': str(model), 'step_size': numbers(step_size),
         'bandwidth': numbers(PROMPTNESS / step_size)})
     driven, single = _driven(mechanism), mechanism.coordinates.single_names
-    # Of those that the URDF has.
+    # Limits of the joints that the URDF has.
     for name in (name for name in joint_names(mechanism) if name in single):
         joint = ElementTree.SubElement(control, 'joint', name=name)
         for key in ('effort', 'position', 'velocity') if name in driven else ():

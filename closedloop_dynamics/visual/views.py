@@ -9,7 +9,7 @@ from typing import Optional, Tuple
 
 import numpy as np
 
-# Of the perspective: angles about the vertical and above the horizon [rad], and the distance of
+# The perspective: angles about the vertical and above the horizon [rad], and the distance of
 # the eye, as a multiple of the extent shown.
 AZIMUTH, ELEVATION, DISTANCE = math.radians(-60.0), math.radians(22.0), 3.0
 

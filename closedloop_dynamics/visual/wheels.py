@@ -14,7 +14,7 @@ import numpy as np
 from ..mechanism.rotations import direction
 
 GEAR, RING, BEVEL, PULLEY = 'gear', 'ring', 'bevel', 'pulley'
-# Of a tooth, in modules: above and below the pitch circle; in angular pitches: half its width at
+# A tooth, in modules: above and below the pitch circle; in angular pitches: half its width at
 # the tip, on the pitch circle and at the root.
 ABOVE, BELOW, WIDTHS = 1.0, 1.25, (0.11, 0.24, 0.36)
 # Outside a ring, and below the teeth of a rack, in modules.
@@ -37,7 +37,7 @@ class Wheel(NamedTuple):
     start: np.ndarray
     radius: float  # Of the pitch circle [m]
     teeth: int = 0  # Zero where no whole numbers of teeth have the ratio: a smooth wheel
-    #: Of a bevel gear: where its cone ends, along the axis from the centre on [m].
+    #: Where the cone of a bevel gear ends, along the axis from the centre on [m].
     apex: float = 0.0
 
     @property

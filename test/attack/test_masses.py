@@ -7,8 +7,8 @@ from collections import Counter
 from dataclasses import replace
 
 from closedloop_dynamics.engine.types import RANK_REVEALING_COUNT
-from closedloop_dynamics.integration.system import build_system
 from closedloop_dynamics.kinematics.modeling import build_model
+from closedloop_dynamics.simulation.system import build_system
 import numpy as np
 import pytest
 

@@ -11,9 +11,9 @@ misses more than a thousandth of what moved, and says nothing, is a silent one.
 from dataclasses import replace
 import warnings
 
-from closedloop_dynamics.integration import system
-from closedloop_dynamics.integration.registry import INTEGRATORS
+from closedloop_dynamics import codegen
 from closedloop_dynamics.mechanism.errors import SimulationError
+from closedloop_dynamics.scene.integrators import INTEGRATORS
 import numpy as np
 import pytest
 
@@ -74,7 +74,7 @@ def attack(rng, mechanism, q, qd, integrator):
 def test_no_random_mechanism_loses_energy_in_silence(topologies, unrolled, monkeypatch):
     if not unrolled:
         # Loops over bodies are compiled once for all topologies.
-        monkeypatch.setattr(system, 'MOST_UNROLLED_IN_PLANE', 0)
+        monkeypatch.setattr(codegen, 'MOST_UNROLLED_IN_PLANE', 0)
     counts = {'refused': 0, 'warned': 0, 'accepted': 0, 'silent': 0}
     silent = []
     with warnings.catch_warnings():

@@ -12,7 +12,7 @@ silent one.
 from collections import Counter
 import warnings
 
-from closedloop_dynamics.integration import system
+from closedloop_dynamics import codegen
 from closedloop_dynamics.mechanism.errors import SimulationError
 import numpy as np
 import pytest
@@ -64,7 +64,7 @@ def attack(rng):
     pytest.mark.slow, pytest.mark.timeout(7200)])])
 def test_no_redundant_loop_loses_energy_in_silence(count, monkeypatch):
     # Loops over bodies are compiled once for all topologies.
-    monkeypatch.setattr(system, 'MOST_UNROLLED_OPERATIONS', 0)
+    monkeypatch.setattr(codegen, 'MOST_UNROLLED_OPERATIONS', 0)
     with warnings.catch_warnings():
         warnings.simplefilter('ignore')
         found = [attack(np.random.default_rng([7, number])) for number in range(count)]
@@ -77,5 +77,5 @@ def test_no_redundant_loop_loses_energy_in_silence(count, monkeypatch):
 # What became singular, or lost energy, before equations were looked at after every step.
 @pytest.mark.parametrize('number', [25, 28, 36, 208])
 def test_equations_that_become_dependent_are_exchanged_in_time(number, monkeypatch):
-    monkeypatch.setattr(system, 'MOST_UNROLLED_OPERATIONS', 0)
+    monkeypatch.setattr(codegen, 'MOST_UNROLLED_OPERATIONS', 0)
     assert attack(np.random.default_rng([7, number])) == 'accepted'

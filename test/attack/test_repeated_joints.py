@@ -13,8 +13,7 @@ from collections import Counter
 from pathlib import Path
 import warnings
 
-from closedloop_dynamics import MechanismError, SimulationError
-from closedloop_dynamics.integration import system
+from closedloop_dynamics import codegen, MechanismError, SimulationError
 from closedloop_dynamics.mechanism.reader import mechanism_of
 from closedloop_dynamics.scene.tree_choice import cheapest
 import numpy as np
@@ -35,7 +34,7 @@ ENERGY, OPEN = 1e-3, 1e-7
 AWAY, RATE = 0.2, 0.5
 # Share of guesses at home, and at rest.
 STILL = 0.3
-UNROLLED = system.MOST_UNROLLED_OPERATIONS
+UNROLLED = codegen.MOST_UNROLLED_OPERATIONS
 
 
 def frames(machine, simulation, q):
@@ -140,7 +139,7 @@ def test_no_joint_that_repeats_another_locks_or_frees_in_silence(count, monkeypa
     for number in range(count):
         # Most by loops over bodies, which are compiled once for all topologies.
         most = UNROLLED if number % 4 == 0 else 0
-        monkeypatch.setattr(system, 'MOST_UNROLLED_OPERATIONS', most)
+        monkeypatch.setattr(codegen, 'MOST_UNROLLED_OPERATIONS', most)
         with warnings.catch_warnings():
             warnings.simplefilter('ignore')
             found.append(attack(np.random.default_rng([47, number])))

@@ -8,9 +8,9 @@ In the plane and in space alike, each with the twin that it is compared with.
 """
 
 from closedloop_dynamics.engine.types import ALPHA, NO_RESPONSES, OMEGA, PX, PY, REDUCED, VX, VY
-from closedloop_dynamics.integration.system import build_system
 from closedloop_dynamics.kinematics.modeling import mechanism_arrays
 from closedloop_dynamics.mechanism.decomposition import decompose
+from closedloop_dynamics.simulation.system import build_system
 import numpy as np
 
 from ..reference import dense

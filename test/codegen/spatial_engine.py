@@ -10,9 +10,9 @@ from closedloop_dynamics.codegen import (
 from closedloop_dynamics.codegen.emit import Q, QD
 from closedloop_dynamics.codegen.spatial import Recursion
 from closedloop_dynamics.engine import types as t
-from closedloop_dynamics.integration.system import build_system
 from closedloop_dynamics.kinematics.modeling import mechanism_arrays
 from closedloop_dynamics.mechanism.mechanism import JOINT_FREEDOMS
+from closedloop_dynamics.simulation.system import build_system
 import numpy as np
 
 from ..reference import spatial_maximal as twin

@@ -9,7 +9,7 @@ from closedloop_dynamics import load_scene, Simulation
 from closedloop_dynamics.codegen import function_table as calls, lanes, routines, space
 from closedloop_dynamics.codegen.arms import Plan
 from closedloop_dynamics.engine import types as t
-from closedloop_dynamics.integration.system import build_system, number_of_states
+from closedloop_dynamics.simulation.system import build_system, number_of_states
 import numpy as np
 import pytest
 

@@ -8,8 +8,8 @@ from functools import partial
 
 from closedloop_dynamics.codegen import clusters, function_table as calls, routines, space
 from closedloop_dynamics.engine import types as t
-from closedloop_dynamics.integration.system import build_system, number_of_states
 from closedloop_dynamics.kinematics.modeling import build_model
+from closedloop_dynamics.simulation.system import build_system, number_of_states
 from families import geared_arm, tower
 import numpy as np
 import pytest

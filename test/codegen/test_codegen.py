@@ -7,6 +7,7 @@ import copy
 import ctypes
 import math
 
+from closedloop_dynamics import codegen
 from closedloop_dynamics.codegen import (
     announced_by, cache, joint_kernels, relink, routines, scheduling)
 from closedloop_dynamics.codegen.expression_graph import (
@@ -15,10 +16,9 @@ from closedloop_dynamics.codegen.machine_code import engines, LANES, machine_cod
 from closedloop_dynamics.codegen.packing import packing_of
 from closedloop_dynamics.codegen.routines import operations, unrolled_size
 from closedloop_dynamics.engine.types import ALPHA, AY, REVOLUTE_ARMATURE, TYPE
-from closedloop_dynamics.integration import system as integration_system
-from closedloop_dynamics.integration.registry import PROJECTION
-from closedloop_dynamics.integration.system import build_system
 from closedloop_dynamics.kinematics.modeling import build_model
+from closedloop_dynamics.scene.integrators import PROJECTION
+from closedloop_dynamics.simulation.system import build_system
 import numpy as np
 import pytest
 
@@ -93,7 +93,7 @@ def test_traced_operations_decide_what_is_unrolled(tmp_path, monkeypatch):
     assert unrolled_size(model, counted) == counted
     assert unrolled_size(model, counted // (2 * routines.RECORDED)) == math.inf
     for more, unrolled in ((0, True), (-1, False)):
-        monkeypatch.setattr(integration_system, 'MOST_UNROLLED_IN_PLANE', counted + more)
+        monkeypatch.setattr(codegen, 'MOST_UNROLLED_IN_PLANE', counted + more)
         assert build_system(model).is_unrolled is unrolled
     # Counted once: another process reads it.
     monkeypatch.setattr(routines, 'sizes', {})

@@ -9,8 +9,10 @@ from closedloop_dynamics import (
     Body, CutJoint, Joint, Mechanism, Point, Simulation, SimulationError)
 from closedloop_dynamics.effects.registry import (
     ExternalForce, Gravity, JointDamping, JointSpring, PointSpring, Rotor)
-from closedloop_dynamics.engine.types import BODY_A, CUT_NUMBER
+from closedloop_dynamics.engine.types import BODY_A, CUT_NUMBER, DOF
 from closedloop_dynamics.mechanism.mechanism import GROUND, REVOLUTE
+from closedloop_dynamics.simulation.recorded_run import joint_forces
+from closedloop_dynamics.simulation.system import number_of_states
 import numpy as np
 import pytest
 
@@ -208,9 +210,10 @@ def test_wrenches_in_space_are_those_of_the_recursions_on_numbers(case):
         wrench[:3] -= np.cross(lever, wrench[3:])
     assert_agree(found, expected, IDENTITY)
     # In its own direction, a joint hands over what drives it: the torque less the cut forces'.
-    wrench, shares = np.zeros((len(model.tree), 12)), np.zeros(engine.nv)
-    work.bias_forces(wrench)
-    model.joint_wrenches(work, qdd, lam, wrench)
-    for i in range(1, len(model.tree)):
-        shares[model.tree[i, 1]] = np.dot(recursion.motion[i].axis, wrench[i, :6])
+    state, shares = np.zeros((1, number_of_states(engine.system))), np.zeros(engine.nv)
+    state[0, :len(q) + len(qd)] = *q, *qd
+    wrenches = joint_forces(engine.system, np.zeros((1, engine.nv)), 1, 1, state,
+                            qdd[np.newaxis], lam[np.newaxis])[0]
+    for i, freedom in enumerate(model.tree[1:, DOF], start=1):
+        shares[freedom] = np.dot(recursion.motion[i].axis, wrenches[freedom])
     assert_agree(numbers._own_axes(shares), torque - numbers.jacobian().T @ lam, IDENTITY)

@@ -4,10 +4,10 @@
 """Mechanisms of thousands of joints: linear in size, well posed, no dense matrix anywhere."""
 
 from closedloop_dynamics.engine.types import RANK, RANK_REVEALING_COUNT
-from closedloop_dynamics.integration.system import build_system
 from closedloop_dynamics.kinematics.modeling import build_model
 from closedloop_dynamics.mechanism.decomposition import decompose
 from closedloop_dynamics.mechanism.validation import validate_mechanism
+from closedloop_dynamics.simulation.system import build_system
 from families import chain, ladder, star
 import numpy as np
 import pytest

@@ -10,9 +10,9 @@ from closedloop_dynamics import (
     Body, codegen, Coupling, CutJoint, Joint, load_scene, Mechanism, Simulation)
 from closedloop_dynamics.engine.types import (
     PROJECTION_ITERATIONS, RANK, RANK_REVEALING_COUNT, SMALLEST_PIVOT)
-from closedloop_dynamics.integration.registry import PROJECTION
-from closedloop_dynamics.integration.system import build_system
 from closedloop_dynamics.kinematics.modeling import build_model
+from closedloop_dynamics.scene.integrators import PROJECTION
+from closedloop_dynamics.simulation.system import build_system
 import numpy as np
 import pytest
 

@@ -11,8 +11,8 @@ from closedloop_dynamics.codegen.plane import possible
 from closedloop_dynamics.codegen.vectors import is_zero
 from closedloop_dynamics.engine.types import (
     CUT_FIXED, CUT_PRISMATIC, CUT_REVOLUTE, CUT_TYPE, KEPT, SMALLEST_PIVOT)
-from closedloop_dynamics.integration.system import build_system
 from closedloop_dynamics.kinematics.modeling import build_model
+from closedloop_dynamics.simulation.system import build_system
 import numpy as np
 import pytest
 

@@ -7,7 +7,7 @@ from dataclasses import replace
 import math
 
 from closedloop_dynamics import (
-    Body, CutJoint, Joint, Mechanism, MechanismError, Method, read_mechanism)
+    Body, codegen, CutJoint, Joint, Mechanism, MechanismError, Method, read_mechanism)
 from closedloop_dynamics.codegen.spatial import rotation
 from closedloop_dynamics.effects.registry import (
     Actuator, EndStop, ForceTable, Gravity, JointDamping, JointFriction, JointSpring,
@@ -15,7 +15,6 @@ from closedloop_dynamics.effects.registry import (
 from closedloop_dynamics.formats.mjcf_writing import mjcf
 from closedloop_dynamics.formats.sdf_writing import sdf
 from closedloop_dynamics.formats.urdf_writing import urdf_with_loops
-from closedloop_dynamics.integration import system
 from closedloop_dynamics.mechanism.checks import orientation
 from closedloop_dynamics.mechanism.fields import FieldError
 import numpy as np
@@ -155,8 +154,8 @@ def largest_difference(directory):
 @pytest.fixture
 def by_loops(monkeypatch):
     """Unroll nothing."""
-    monkeypatch.setattr(system, 'MOST_UNROLLED_IN_PLANE', 0)
-    monkeypatch.setattr(system, 'MOST_UNROLLED_OPERATIONS', 0)
+    monkeypatch.setattr(codegen, 'MOST_UNROLLED_IN_PLANE', 0)
+    monkeypatch.setattr(codegen, 'MOST_UNROLLED_OPERATIONS', 0)
 
 
 def test_loops_over_bodies_know_cut_joints_too(tmp_path, by_loops):

@@ -5,22 +5,17 @@
 
 from dataclasses import replace
 
-from closedloop_dynamics import Body, Joint, load_scene, Mechanism, Method, Simulation
+from closedloop_dynamics import Body, codegen, Joint, load_scene, Mechanism, Method, Simulation
 from closedloop_dynamics.codegen import TORQUE_RESPONSE
-from closedloop_dynamics.effects.dry_friction import dry_friction
-from closedloop_dynamics.effects.effect_table import EffectTable
-from closedloop_dynamics.effects.element import DISSIPATED, ForceElement, OWN, State
 from closedloop_dynamics.effects.registry import Gravity, JointFriction, JointSpring
-from closedloop_dynamics.integration import system
-from closedloop_dynamics.integration.registry import INTEGRATORS
-from closedloop_dynamics.kinematics.modeling import build_model
 from closedloop_dynamics.mechanism.mechanism import REVOLUTE
+from closedloop_dynamics.scene.integrators import INTEGRATORS
 import numpy as np
 import pytest
 from scipy.optimize import lsq_linear
 
 from .machines import assert_balanced, block, pendulum, simulated, slider_crank
-from ..reference import cases, maximal
+from ..reference import cases, dense, maximal
 
 
 # Euler's method is of first order, and has a test of its own.
@@ -193,25 +188,42 @@ def test_a_coefficient_given_later_is_the_same_as_from_the_start(scene):
     np.testing.assert_array_equal(*ends)
 
 
-def test_friction_at_rest_makes_the_accelerations_least():
-    rng, model = np.random.default_rng(0), build_model(block())
-    for _ in range(200):
-        count = int(rng.integers(1, 7))
-        # Several joints share a freedom where there are fewer rows.
-        root = rng.normal(size=(int(rng.integers(1, count + 1)), count)) * 10.0 ** rng.uniform(
-            -2, 2, count)
-        free = 10.0 * rng.normal(size=len(root))
-        rows = [ForceElement(dry_friction, (0,), states=(
-            State(OWN), State(OWN), State(DISSIPATED)))] * count
-        table = EffectTable.of(model, model, rows)
-        made = table.static_friction
-        made.matrix[:], made.right[:], made.bound[:] = root.T @ root, root.T @ free, 1.0
-        found = np.zeros(count)
-        table.minimise_in_box(count, found)
-        best = lsq_linear(root, -free, (-1.0, 1.0), method='bvls', tol=1e-15, max_iter=500)
-        assert np.abs(found).max() <= 1.0
-        assert np.linalg.norm(root @ found + free) <= np.sqrt(2.0 * best.cost) * (
-            1.0 + 1e-9) + 1e-9
+def chain(rng, count):
+    """Return bodies that hang on one another by pins, of very different masses."""
+    names = [f'link_{k}' for k in range(count)]
+    return Mechanism('chain', tuple(
+        Body(name, 10.0 ** rng.uniform(-1, 1), tuple(rng.uniform(-0.2, 0.2, 2)), 0.1)
+        for name in names), tuple(
+        Joint(f'pin_{name}', REVOLUTE, parent, name, tuple(rng.uniform(-0.3, 0.3, 2)), 0.0, True)
+        for parent, name in zip(('ground', *names), names)), ())
+
+
+@pytest.mark.parametrize('seed', range(20))
+def test_friction_at_rest_makes_the_accelerations_least(seed):
+    """By the principle of least constraint; in some pins there are several frictions."""
+    rng = np.random.default_rng(seed)
+    mechanism = chain(rng, int(rng.integers(1, 5)))
+    pins = [joint.name for joint in mechanism.joints]
+    places = rng.integers(0, len(pins), int(rng.integers(1, 7)))
+    bounds = 10.0 ** rng.uniform(-1, 1, len(places))
+    position = rng.uniform(-3.0, 3.0, len(pins))
+    simulation = simulated(mechanism, {
+        f'friction_{k}': JointFriction(pins[place], bound)
+        for k, (place, bound) in enumerate(zip(places, bounds))}, position)
+    torque = 5.0 * rng.normal(size=len(pins))
+    simulation.step(torque, 0.0)
+    inertia = dense.generalized_inertia_matrix(mechanism, position)
+    root = np.linalg.cholesky(np.linalg.inv(inertia)).T
+    best = lsq_linear(root[:, places], -root @ torque, (-bounds, bounds), method='bvls',
+                      tol=1e-15, max_iter=500)
+    found = simulation.acceleration
+    assert found @ inertia @ found <= 2.0 * best.cost * (1.0 + 1e-9) + 1e-9
+    held = inertia @ found - torque
+    np.testing.assert_allclose(held, sum(
+        simulation.effect_readings(f'friction_{k}')['torque'] * (np.arange(len(pins)) == place)
+        for k, place in enumerate(places)), rtol=0, atol=1e-9)
+    for k, bound in enumerate(bounds):
+        assert abs(simulation.effect_readings(f'friction_{k}')['torque']) <= bound
 
 
 def test_a_change_of_friction_takes_effect_at_once():
@@ -365,8 +377,8 @@ def test_friction_of_many_joints_at_rest_by_loops_over_bodies_is_that_of_generat
     found, evaluations = [], []
     for most in (None, 0):
         if most is not None:
-            monkeypatch.setattr(system, 'MOST_UNROLLED_IN_PLANE', most)
-            monkeypatch.setattr(system, 'MOST_UNROLLED_OPERATIONS', most)
+            monkeypatch.setattr(codegen, 'MOST_UNROLLED_IN_PLANE', most)
+            monkeypatch.setattr(codegen, 'MOST_UNROLLED_OPERATIONS', most)
         simulation = Simulation(scene)
         torques = np.linspace(-3.0, 40.0, len(mechanism.actuated_joints))
         simulation.step(dict(zip(mechanism.actuated_joints, torques)))
@@ -399,7 +411,7 @@ def test_a_step_among_joints_at_rest_is_that_of_evaluations_one_by_one(operation
     # More joints than one routine has the responses of; some hold, some break away.
     count = 10
     if operations is not None:
-        monkeypatch.setattr(system, 'MOST_UNROLLED_IN_PLANE', operations)
+        monkeypatch.setattr(codegen, 'MOST_UNROLLED_IN_PLANE', operations)
     simulation, twin = (chain_of_hinges(count) for _ in range(2))
     assert simulation.data.system.is_unrolled == (operations is None)
     torque = np.where(np.arange(count) < 5, 0.0, 30.0)

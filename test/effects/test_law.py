@@ -212,7 +212,7 @@ def test_a_scene_file_has_laws_and_is_written_again(tmp_path):
     assert np.array_equal(one.state, two.state)
 
 
-# Pieces of programs and of numbers that are none.
+# Damaged pieces of programs and numbers.
 EVIL = ('__import__("os").system("true")', 'x.__class__', 'x.real', '(lambda: 1)()', 'open("f")',
         '[1][0]', '{1: 2}', 'x if x else 1', 'x and 1', 'not x', 'x < 1', 'x == x', 'x // 2',
         'x % 2', 'x @ x', 'x << 2', '~1', "'a'*9", 'f"{x}"', '9**9**9', '10**400', '1/0',

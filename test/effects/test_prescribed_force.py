@@ -148,7 +148,7 @@ def test_the_time_goes_on_over_new_states_and_changes():
     assert simulation.effect_readings('push')['force'] == pytest.approx(0.3, abs=1e-12)
     simulation.reset()
     assert simulation.effect_readings('push')['force'] == 0.0
-    with pytest.raises(FieldError, match='no more pieces'):
+    with pytest.raises(FieldError, match='no more segments'):
         simulation.set_effect('push', times=tuple(range(20)), values=(0.0,) * 20)
 
 

@@ -5,8 +5,8 @@
 
 from closedloop_dynamics import Body, CutJoint, Joint, Mechanism
 from closedloop_dynamics.effects.registry import Gravity, Payload, Rotor
-from closedloop_dynamics.integration.system import with_equations
 from closedloop_dynamics.mechanism.fields import FieldError
+from closedloop_dynamics.simulation.system import with_equations
 import numpy as np
 import pytest
 

@@ -8,7 +8,7 @@ from dataclasses import replace
 from closedloop_dynamics import load_scene, Point, Simulation
 from closedloop_dynamics.effects.element import DISSIPATED, STORED, WORK
 from closedloop_dynamics.effects.registry import EFFECTS
-from closedloop_dynamics.integration.system import parts_of_state
+from closedloop_dynamics.simulation.system import parts_of_state
 import numpy as np
 import pytest
 

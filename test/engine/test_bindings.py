@@ -14,12 +14,12 @@ from closedloop_dynamics import Method, Simulation
 from closedloop_dynamics.codegen import function_table as calls
 from closedloop_dynamics.engine import native
 from closedloop_dynamics.engine.types import BODY_A, CUT_NUMBER, CUT_TYPE, PATH_B
-from closedloop_dynamics.integration.registry import PROJECTION
-from closedloop_dynamics.integration.run import DONE
-from closedloop_dynamics.integration.system import build_system, number_of_states
-from closedloop_dynamics.integration.tableau import RK4
 from closedloop_dynamics.kinematics.modeling import build_model
+from closedloop_dynamics.scene.integrators import PROJECTION
+from closedloop_dynamics.scene.tableau import RK4
 from closedloop_dynamics.simulation.guards import guard_limits
+from closedloop_dynamics.simulation.run import DONE
+from closedloop_dynamics.simulation.system import build_system, number_of_states
 import numpy as np
 import pytest
 
@@ -45,7 +45,7 @@ PARAMETERS = {
     if name != 'bind' and not name.startswith('_') and function not in TYPES}
 # Any object is true or false; numbers of any size are energies, positive ones accuracies.
 TAKE_ANYTHING = {'sample', 'restart', 'with_independent', 'use_independent', 'jump_balance',
-                 'record_loss', 'aim', 'resume_run'}
+                 'aim', 'resume_run'}
 
 
 def function(name):

@@ -12,10 +12,10 @@ from closedloop_dynamics.codegen import (
     space as code_in_space)
 from closedloop_dynamics.effects import (
     curve, effect_table, element, expression, force_law, profile, traced_effect)
-from closedloop_dynamics.engine import manifold, types
-from closedloop_dynamics.integration import (
-    batch, control, evaluation, recorded_run, registry, run, stepped_run, system, tableau)
-from closedloop_dynamics.simulation import guards
+from closedloop_dynamics.engine import manifold, status, types
+from closedloop_dynamics.scene import integrators, tableau
+from closedloop_dynamics.simulation import (
+    batch, evaluator, guards, recorded_run, run, stepped_run, system)
 import pytest
 
 FOLDER = Path(engine.__file__).parent
@@ -36,8 +36,8 @@ ENUMS = {
     'routine': (function_table, {}),
     'routine.Array': (function_table, {}),
     'Responses': (types, {'NONE': 'NO_RESPONSES'}),
-    'Stabilisation': (registry, {}),
-    'Status': (control, {}),
+    'Stabilisation': (integrators, {}),
+    'Status': (status, {}),
     'effect.Column': (element, {}),
     'effect.Role': (force_law, {}),
     'effect.Gap': (force_law, {}),
@@ -64,8 +64,8 @@ INNER = {'Manner', 'Level', 'Comparison', 'Factors', 'Outputs', 'projection.cpp:
 # Constants of the same name.
 CONSTANTS = {
     'batch.hpp': (function_table, ('LANES',)),
-    'error_control.hpp': (control, ('MOST_EVALUATIONS',)),
-    'switching.cpp': (control, ('FLOOR', 'SHARE', 'CLOSER', 'WINDOW', 'LONGEST_PAUSE')),
+    'error_control.hpp': (status, ('MOST_EVALUATIONS',)),
+    'switching.cpp': (status, ('FLOOR', 'SHARE', 'CLOSER', 'WINDOW', 'LONGEST_PAUSE')),
     'run.cpp': (guards, ('ENERGY_WARN', 'ENERGY_ERROR', 'MOST_EXCHANGES')),
     'elimination.hpp': (elimination, ('POOR_PIVOT',)),
     'elimination.cpp': (elimination, ('SMALL_PIVOT', 'MANY_JOINTS')),
@@ -84,7 +84,7 @@ RECORDS = {
     'AccelerationDerivatives': system.AccelerationDerivatives,
     'EffectElement': effect_table.EffectElement, 'Tableau': tableau.Tableau,
     'RunBuffer': recorded_run.RunBuffer, 'GuardLimits': run.GuardLimits,
-    'Lane': batch.Lane, 'MethodOptions': run.MethodOptions, 'Request': evaluation.Request,
+    'Lane': batch.Lane, 'MethodOptions': run.MethodOptions, 'Request': evaluator.Request,
     'Batch': batch.Batch, 'Loops': equations.Loops, 'Far': equations.Far,
     'SteppedRun': stepped_run.SteppedRun, 'Tape': stepped_run.Tape,
     'StepRoutines': stepped_run.StepRoutines, 'LaneRoutines': stepped_run.LaneRoutines,

@@ -20,16 +20,15 @@ from closedloop_dynamics.effects import effect_table
 from closedloop_dynamics.effects.expression import program
 from closedloop_dynamics.effects.registry import FluidDrag, JointSpring, Law
 from closedloop_dynamics.engine import native
-from closedloop_dynamics.integration.registry import PROJECTION
 from closedloop_dynamics.kinematics.pose_grid import Axis, Platform, PoseGrid
+from closedloop_dynamics.scene.integrators import PROJECTION
 from closedloop_dynamics.simulation.derivative_code import DerivativeCode
 from closedloop_dynamics.simulation.rollout_run import QUANTITIES
 from closedloop_dynamics.simulation.traced_scene import TracedScene
 import numpy as np
 import pytest
 
-from ..effects import (
-    test_curve_search, test_cut_freedoms, test_effect_set, test_joint_spring, test_space)
+from ..effects import test_cut_freedoms, test_effect_set, test_joint_spring, test_space
 from ..effects.machines import simulated
 from ..estimation import test_correction
 from ..kinematics import test_driven
@@ -53,13 +52,11 @@ SYSTEMS = ('system', 'with_equations', 'with_independent', 'copy')
 ANY_LENGTH = {
     ('model', 4), ('system', 3), ('system', 10), ('with_equations', 3), ('use_equations', 3),
     ('largest', 0), ('points_in_state', 2), ('points_in_state', 3), ('points_in_state', 4),
-    ('sum_of_sizes', 0), ('reach_poses', 9), ('nearest_to_path', 0), ('curve_distance', 0),
-    ('spread_torques', 0),
-    ('spread_torques', 1), ('spread_torques', 2), ('evaluate_given', 2), ('evaluate_given', 3),
-    ('evaluate_given', 4), ('find_torques', 6), ('find_torques', 7), ('find_torques', 8),
-    ('find_joint_forces', 4), ('advance_run', 1),
-    ('cut_wrenches', 2), ('place_points', 1), ('cut_axis', 1), ('bias_forces', 1),
-    ('minimise_in_box', 2), ('correct_errors', 11), ('rates', 1), ('rates', 2), ('run_samples', 1),
+    ('reach_poses', 9), ('spread_torques', 0), ('spread_torques', 1),
+    ('spread_torques', 2), ('evaluate_given', 2), ('evaluate_given', 3), ('evaluate_given', 4),
+    ('find_torques', 6), ('find_torques', 7), ('find_torques', 8), ('find_joint_forces', 4),
+    ('advance_run', 1), ('cut_wrenches', 2), ('place_points', 1), ('cut_axis', 1),
+    ('bias_forces', 1), ('correct_errors', 11), ('rates', 1), ('rates', 2), ('run_samples', 1),
     ('run_samples', 2), ('callable_steps', 5), ('callable_dynamics', 2), ('callable_dynamics', 3)}
 REFUSALS = (TypeError, ValueError, BufferError, OverflowError)
 
@@ -173,11 +170,9 @@ def use_kernels(simulation, note):
     call('use_equations', other, other.model, with_all_equations(other.model),
          np.zeros(0, dtype=np.int64))
     call('bias_forces', work, work.force.copy())
-    call('joint_wrenches', model, work, system.qdd, system.lam, work.force.copy())
     call('tree_torque', model, work, system.qdd, np.zeros(nv))
     call('to_user_order', model, system.lam, np.zeros_like(system.lam))
     call('largest', q)
-    call('sum_of_sizes', q)
     call('evaluate', handle, q, qd)
     call('evaluate_with_poses', handle, state)
     call('evaluate_again', handle, state, 2)
@@ -188,7 +183,6 @@ def use_kernels(simulation, note):
     call('command', run, system.tau.copy())
     call('jump_balance', run, 0.1)
     call('set_time', run, 0.5, 3)
-    call('record_loss', run, 1.0, 2.0, 0.0, 0.1)
     call('resume_run', run, True)
     call('sample', run, True)
     call('restart', run, True)
@@ -225,7 +219,6 @@ def use_kernels(simulation, note):
         call('move', system.manifold, q, qd, 0.1)
         call('rates', system.manifold, state, np.zeros(nq))
     call('fill_quaternions', np.tile(np.eye(3), (2, 1, 1)), np.zeros((2, 4)))
-    call('nearest_to_path', np.array([[0.0, 1, 0, 0, 0, 1, 0, 0]]), 0.0, 1.0, 1.0, 0.0)
     if system.whole is not None:
         call('find_all_multipliers', handle, q, qd, np.zeros_like(system.whole.lam))
     elif effects is None or not len(effects.cuts.index):
@@ -238,8 +231,6 @@ def use_kernels(simulation, note):
     call('load_joints', handle, model, work, qd, system.qdd, system.lam)
     reported, = effect_table.for_engine([effects.elements[0]], effects.is_spatial, True)
     call('put_effect', effects, 0, reported)
-    call('minimise_in_box', effects, len(effects.static_friction.rows) - 1,
-         np.zeros(len(effects.static_friction.rows)))
     cuts = effects.cuts
     for k in range(len(cuts.index)):
         call('cut_axis', effects, work.body, k)
@@ -318,8 +309,6 @@ def calls(tmp_path_factory):
         stepper.stepper.change_independent()
         kept = stepper.stepper.called_by_address(), dynamics('rssr_four_bar')
         test_correction.corrected(*test_correction.drawn())
-        pieces = test_curve_search.curve(np.random.default_rng(0), True, 'cubic')
-        native.curve_distance(pieces, True, test_curve_search.forgotten(), 0.05, 0.01)
     for simulation in simulations:
         use_kernels(simulation, recorder.note)
     for handle, request, *_ in list(recorder.calls['evaluate_given'].values()):

@@ -17,7 +17,7 @@ CHILD = """
 import resource
 import numpy as np
 from closedloop_dynamics.engine import native
-from closedloop_dynamics.integration.system import build_system
+from closedloop_dynamics.simulation.system import build_system
 from closedloop_dynamics.mechanism.validation import validate_mechanism
 from closedloop_dynamics.kinematics.modeling import build_model
 from families import ladder

@@ -11,7 +11,7 @@ import sys
 import threading
 
 from closedloop_dynamics.engine import native
-from closedloop_dynamics.integration.stop_flag import StopFlag
+from closedloop_dynamics.engine.stop_flag import StopFlag
 from closedloop_dynamics.simulation import rollout
 from closedloop_dynamics.simulation.simulation import Simulation
 import numpy as np

@@ -10,10 +10,10 @@ from closedloop_dynamics.formats.registry import read_model
 from closedloop_dynamics.formats.yaml_text import mechanism_text
 from closedloop_dynamics.kinematics.global_assembly import ClosureProblem
 from closedloop_dynamics.kinematics.modeling import build_model
-from closedloop_dynamics.mechanism.closure import coupling_errors
 import numpy as np
 import pytest
 
+from ..reference.loop_closure import coupling_errors
 from ..reference.numbers import Numbers
 
 mujoco = pytest.importorskip('mujoco')

@@ -7,8 +7,8 @@ from dataclasses import replace
 
 from closedloop_dynamics import load_scene, NumericalError, Simulation
 from closedloop_dynamics.effects.registry import JointDamping, JointSpring
-from closedloop_dynamics.integration.registry import ADAPTIVE, INTEGRATORS, STABILISATIONS
-from closedloop_dynamics.integration.tableau import DOP853, DOPRI5, HEUN, RK4
+from closedloop_dynamics.scene.integrators import ADAPTIVE, INTEGRATORS, STABILISATIONS
+from closedloop_dynamics.scene.tableau import DOP853, DOPRI5, HEUN, RK4
 import numpy as np
 import pytest
 from scipy.integrate import solve_ivp

@@ -7,8 +7,8 @@ from collections import Counter
 from dataclasses import replace
 from typing import NamedTuple
 
-from closedloop_dynamics import AssemblyError, Mechanism, Method, Simulation, SimulationError
-from closedloop_dynamics.integration import system
+from closedloop_dynamics import (
+    AssemblyError, codegen, Mechanism, Method, Simulation, SimulationError)
 from closedloop_dynamics.kinematics.change_points import branches_apart
 import hard_machines
 import numpy as np
@@ -117,7 +117,7 @@ def test_near_flat_the_branch_is_right_or_reported_to_be_undecided(sign, method)
     pytest.mark.slow, pytest.mark.timeout(3600)])])
 def test_no_random_linkage_changes_its_branch_in_silence(count, monkeypatch):
     # Loops over bodies are compiled once.
-    monkeypatch.setattr(system, 'MOST_UNROLLED_OPERATIONS', 0)
+    monkeypatch.setattr(codegen, 'MOST_UNROLLED_OPERATIONS', 0)
     found = Counter()
     for number in range(count):
         rng = np.random.default_rng([15, number])

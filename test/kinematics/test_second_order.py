@@ -1,12 +1,12 @@
 # SPDX-FileCopyrightText: 2026 The closedloop_dynamics authors
 # SPDX-License-Identifier: Apache-2.0
 
-"""Motions that loops forbid to second order only are none; real ones beside them go on."""
+"""Motions that loops forbid to second order do not happen; real ones beside them go on."""
 
 from dataclasses import replace
 
-from closedloop_dynamics import AssemblyError, load_scene, Method, Model, scene_names, Simulation
-from closedloop_dynamics.integration import system
+from closedloop_dynamics import (
+    AssemblyError, codegen, load_scene, Method, Model, scene_names, Simulation)
 from closedloop_dynamics.kinematics.assembly import Assembler
 from closedloop_dynamics.kinematics.geometry import Geometry
 from closedloop_dynamics.kinematics.motions import with_motions
@@ -49,7 +49,7 @@ def test_a_taut_bar_keeps_carriages_abreast(tilt, method):
     pytest.mark.slow, pytest.mark.timeout(3600)])])
 def test_taut_gantries_on_an_arm_move_as_one_carriage(count, monkeypatch):
     # Loops over bodies are compiled once for all topologies.
-    monkeypatch.setattr(system, 'MOST_UNROLLED_OPERATIONS', 0)
+    monkeypatch.setattr(codegen, 'MOST_UNROLLED_OPERATIONS', 0)
     worst = 0.0
     for number in range(count):
         rng = np.random.default_rng([3, number])

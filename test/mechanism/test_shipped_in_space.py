@@ -6,13 +6,13 @@
 from dataclasses import replace
 
 from closedloop_dynamics import load_scene, Method, Simulation
-from closedloop_dynamics.mechanism.closure import closure
 from closedloop_dynamics.mechanism.kinematics import body_poses, named_point, pose_of
 import numpy as np
 import pytest
 
 from ..reference import cases, spatial_maximal as twin
 from ..reference.compare import assert_agree
+from ..reference.loop_closure import closure
 
 # Bodies, equations that do not always hold, independent ones, degrees of freedom.
 MACHINES = {

@@ -194,7 +194,7 @@ def test_a_late_start_under_a_held_torque_with_error_control_is_said_to_be_inexa
     result = replay(recorder.recording(first=9))
     assert 0.0 < result.largest < 1e-6
     assert 'what the integrator' in result.notes[0]
-    # It is the error that the method may make; more than that is none.
+    # The method may make this error, and no more.
     assert result.unexplained is None
     off = replace(result.recorded, position=result.recorded.position + 1e-4)
     assert replace(result, recorded=off).unexplained is not None

@@ -11,7 +11,6 @@ import json
 from closedloop_dynamics import load_scene, MechanismError, scene_names
 from closedloop_dynamics.cli import main
 from closedloop_dynamics.cli.command import recording_of, UsageError
-from closedloop_dynamics.mechanism.closure import closure
 from closedloop_dynamics.recording import recording as recordings
 from closedloop_dynamics.recording.errors import RecordingError
 from closedloop_dynamics.recording.kinematics import Drive, DrivenRun
@@ -23,6 +22,7 @@ import numpy as np
 import pytest
 
 from ..reference import cases
+from ..reference.loop_closure import closure
 
 LENGTH = 'mechanism.joints.rocker_joint.position.0'
 

@@ -67,7 +67,7 @@ class Dense:
 
     Parameters
     ----------
-    system : integration.system.System
+    system : simulation.system.System
     formulation : str
         Of ``FORMULATIONS``.
 

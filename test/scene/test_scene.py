@@ -9,9 +9,9 @@ import shutil
 
 from closedloop_dynamics import load_scene, Mechanism, MechanismError, scene_names, SceneError
 from closedloop_dynamics.effects.registry import effect_type, EFFECTS, Gravity
-from closedloop_dynamics.integration.registry import INTEGRATORS, STABILISATIONS
 from closedloop_dynamics.mechanism import config
 from closedloop_dynamics.mechanism.fields import among, FieldError
+from closedloop_dynamics.scene.integrators import INTEGRATORS, STABILISATIONS
 from closedloop_dynamics.scene.loading import (
     config_directory, Initial, load_scene_or_mechanism, Method, Scene)
 import pytest

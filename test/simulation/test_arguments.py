@@ -1,7 +1,7 @@
 # SPDX-FileCopyrightText: 2026 The closedloop_dynamics authors
 # SPDX-License-Identifier: Apache-2.0
 
-"""Numbers that are none, or of other shapes, are refused wherever they come in."""
+"""Numbers that are not finite, or of other shapes, are refused wherever they come in."""
 
 from dataclasses import replace
 import math

@@ -10,7 +10,6 @@ from closedloop_dynamics import (
     AssemblyError, Body, Coupling, CutJoint, Joint, Mechanism, MechanismError, Method, Point,
     Simulation)
 from closedloop_dynamics.effects.registry import Gravity
-from closedloop_dynamics.mechanism.closure import closure
 from closedloop_dynamics.mechanism.fields import FieldError
 from closedloop_dynamics.mechanism.validation import validate_mechanism
 from closedloop_dynamics.recording.run import columns, row
@@ -22,6 +21,7 @@ import pytest
 
 from ..reference import scenes, spatial_machines
 from ..reference.compare import assert_agree
+from ..reference.loop_closure import closure
 
 GRAVITY = {'gravity': Gravity(spatial_machines.GRAVITY)}
 TIGHT = Method(integrator='dop853', tolerance=1e-12)

@@ -8,7 +8,6 @@ from itertools import product
 from closedloop_dynamics import load_scene, read_mechanism, SceneError, Simulation, write_scene
 from closedloop_dynamics.codegen.routines import topology
 from closedloop_dynamics.formats.yaml_text import mechanism_text
-from closedloop_dynamics.mechanism.closure import closure, coupling_errors
 import numpy as np
 import pytest
 from scipy.interpolate import CubicSpline
@@ -16,6 +15,7 @@ from scipy.interpolate import CubicSpline
 from .test_derivatives import by_loops, require_derivatives, simulation_of
 from ..export.test_c_source import compiled, require_same_run
 from ..reference.compare import assert_agree, SOLVE
+from ..reference.loop_closure import closure, coupling_errors
 
 GRAVITY = 9.81
 PLANE = """\

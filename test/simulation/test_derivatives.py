@@ -7,7 +7,7 @@ from dataclasses import replace
 from unittest import mock
 
 from closedloop_dynamics import (
-    Differentiator, Linearisation, load_scene, Model, Scene, Sensitivity, Simulation,
+    codegen, Differentiator, Linearisation, load_scene, Model, Scene, Sensitivity, Simulation,
     SimulationError, SingularityError)
 from closedloop_dynamics.codegen.differentiation import differentiated, gradients
 from closedloop_dynamics.codegen.expression_graph import (
@@ -16,7 +16,6 @@ from closedloop_dynamics.codegen.expression_graph import (
 from closedloop_dynamics.effects.registry import (
     Bushing, EndStop, ExternalForce, FluidDrag, ForceTable, JointDamping, JointSpring, Law,
     PointSpring, PrescribedForce, Tendon)
-from closedloop_dynamics.integration import system
 from closedloop_dynamics.scene.key_paths import numbers
 import numpy as np
 import pytest
@@ -129,7 +128,7 @@ def torques(simulation):
 
 def by_loops(scene, effects):
     """Return a simulation that uses no code generated for its mechanism."""
-    with mock.patch.object(system, 'can_be_unrolled', lambda model: False):
+    with mock.patch.object(codegen, 'can_be_unrolled', lambda model: False):
         simulation = simulation_of(scene, effects, integrator='rk4')
     assert not simulation.data.system.is_unrolled
     return simulation

@@ -9,12 +9,12 @@ from functools import partial
 from closedloop_dynamics import (
     Body, CutJoint, Initial, Joint, load_scene, Mechanism, Method, Model, Point, Simulation)
 from closedloop_dynamics.effects.registry import Actuator, JointDamping, JointSpring, Sensor
-from closedloop_dynamics.integration.registry import FIXED, INTEGRATORS
-from closedloop_dynamics.integration.system import parts_of_state
 from closedloop_dynamics.mechanism.fields import FieldError
 from closedloop_dynamics.recording.run import columns, Report, run
+from closedloop_dynamics.scene.integrators import FIXED, INTEGRATORS
 from closedloop_dynamics.scene.key_paths import changed, numbers, resolve
 from closedloop_dynamics.scene.text import read_scene_text, scene_text
+from closedloop_dynamics.simulation.system import parts_of_state
 from closedloop_dynamics.studies.check import describe
 from closedloop_dynamics.visual.trajectory import from_rows
 import numpy as np

@@ -7,16 +7,15 @@ import ctypes
 from dataclasses import replace
 
 from closedloop_dynamics import (
-    Body, CutJoint, Joint, load_scene, Mechanism, Method, Point, Simulation)
+    Body, codegen, CutJoint, Joint, load_scene, Mechanism, Method, Point, Simulation)
 from closedloop_dynamics.codegen import function_table as calls
 from closedloop_dynamics.effects.registry import Gravity, JointDamping, Payload
 from closedloop_dynamics.engine.types import RANK_REVEALING_COUNT
-from closedloop_dynamics.integration import system
-from closedloop_dynamics.integration.registry import PROJECTION
 from closedloop_dynamics.kinematics.loop_model import independent
 from closedloop_dynamics.mechanism.fields import FieldError
 from closedloop_dynamics.mechanism.kinematics import body_poses
 from closedloop_dynamics.recording.run import columns, Report, row, run
+from closedloop_dynamics.scene.integrators import PROJECTION
 from closedloop_dynamics.scene.text import read_scene_text, scene_text
 from closedloop_dynamics.studies.check import describe
 import numpy as np
@@ -302,7 +301,7 @@ def test_a_falling_delta_robot_keeps_its_energy_where_its_rods_are_parallel():
 
 def test_the_loops_over_bodies_move_what_is_too_large_to_be_unrolled(monkeypatch):
     ones = [Simulation.from_scene('stewart_platform')]
-    monkeypatch.setattr(system, 'MOST_UNROLLED_OPERATIONS', 0)
+    monkeypatch.setattr(codegen, 'MOST_UNROLLED_OPERATIONS', 0)
     ones.append(Simulation.from_scene('stewart_platform'))
     assert ones[0].data.system.is_unrolled and not ones[1].data.system.is_unrolled
     for one in ones:

@@ -5,13 +5,15 @@
 
 from dataclasses import replace
 
-from closedloop_dynamics import load_scene, Point, Simulation, SimulationError
+from closedloop_dynamics import codegen, load_scene, Point, Simulation, SimulationError
 from closedloop_dynamics.codegen.equations import Equations
 from closedloop_dynamics.effects.registry import (
     ExternalForce, JointFriction, JointSpring, PointSpring, Rotor)
-from closedloop_dynamics.integration import system
+from closedloop_dynamics.engine.types import DOF
 from closedloop_dynamics.mechanism.mechanism import GROUND, JOINT_FREEDOMS, PRISMATIC, REVOLUTE
 from closedloop_dynamics.recording.run import columns, row
+from closedloop_dynamics.simulation import system
+from closedloop_dynamics.simulation.recorded_run import joint_forces
 import numpy as np
 import pytest
 
@@ -26,6 +28,15 @@ from ..reference.scenes import scene_in_space as scene
 def at(model, q, qd):
     """Return the equations of a model, as the loops over bodies have them, in a state."""
     return Equations(model).move(q, qd)
+
+
+def wrenches_of(model, q, qd, qdd, lam):
+    """Return what joints hand over in a state under given multipliers, shape (nv, 6)."""
+    made = system.build_system(model, unrolled=False)
+    state = np.zeros(system.number_of_states(made))
+    state[:len(q) + len(qd)] = *q, *qd
+    return joint_forces(made, np.zeros((1, len(qd))), 1, 1, state[np.newaxis], qdd[np.newaxis],
+                        lam[np.newaxis])[0]
 
 
 def reactions(mechanism, q, qd, expected):
@@ -70,10 +81,7 @@ def test_forces_in_joints_are_those_of_maximal_coordinates(seed):
     expected = twin.forward_dynamics(mechanism, q, qd, tau)
     qdd, lam, _ = engine.forward_dynamics(q, qd, tau)
     equations = at(engine.model, q, qd)
-    rows = np.zeros((len(engine.model.tree), 12))
-    equations.work.bias_forces(rows)
-    equations.model.joint_wrenches(equations.work, qdd, lam, rows)
-    rows = rows[:, :6]
+    by_freedom = wrenches_of(engine.model, q, qd, qdd, lam)
     motions = twin.forward(mechanism, q, qd, qdd)[0]
     known, found = reactions(mechanism, q, qd, expected), {}
     numbers = Numbers(engine.model)
@@ -81,9 +89,9 @@ def test_forces_in_joints_are_those_of_maximal_coordinates(seed):
     for joint in mechanism.joints:
         if JOINT_FREEDOMS[joint.type]:
             row = engine.rows[joint.name][-1]
-            found[joint.name] = rows[row].copy()
+            found[joint.name] = by_freedom[engine.model.tree[row, DOF]].copy()
             arm = motions[joint.child].origin - numbers.recursion.motion[row].origin
-            found[joint.name][:3] -= np.cross(arm, rows[row, 3:])
+            found[joint.name][:3] -= np.cross(arm, found[joint.name][3:])
     assert_agree(list(found.values()), [known[name] for name in found], 1e-8)
     # Along the joints' freedoms they are the forces that drive them, loops closed.
     forces = np.zeros(engine.nv)
@@ -192,8 +200,8 @@ def test_generated_code_finds_the_forces_that_drive_effects_as_the_loops_do(name
             joint.name, friction_coefficient=0.1, **sizes[joint.type])
         for joint in shipped.mechanism.joints if joint.type in sizes}
     readings = []
-    for most in (system.MOST_UNROLLED_OPERATIONS, 0):
-        monkeypatch.setattr(system, 'MOST_UNROLLED_OPERATIONS', most)
+    for most in (codegen.MOST_UNROLLED_OPERATIONS, 0):
+        monkeypatch.setattr(codegen, 'MOST_UNROLLED_OPERATIONS', most)
         one = Simulation(replace(shipped, effects={**shipped.effects, **effects}))
         assert one.data.system.is_unrolled == (most > 0)
         one.step(None, 0.02)

@@ -10,11 +10,11 @@ from closedloop_dynamics import (
     AssemblyError, Body, load_scene, MechanismError, Method, read_mechanism, Simulation)
 from closedloop_dynamics.effects.registry import Actuator, JointDamping, JointSpring
 from closedloop_dynamics.engine.types import CUT_ROW, ROW
-from closedloop_dynamics.integration.system import build_system
 from closedloop_dynamics.kinematics.modeling import build_model
 from closedloop_dynamics.mechanism.errors import StiffnessError
 from closedloop_dynamics.mechanism.validation import validate_mechanism
 from closedloop_dynamics.simulation.guards import fastest_rate
+from closedloop_dynamics.simulation.system import build_system
 import hard_machines as machines
 import numpy as np
 import pytest
@@ -270,7 +270,7 @@ def test_step_size_changes_while_running():
     simulation = simulate(*machines.ladder(2, 0.4))
     energy = simulation.energy
     simulation.step(duration=0.1)
-    simulation.stepping.set_step_size(4e-3)
+    simulation.stepping.prepare_method(step_size=4e-3)()
     assert (simulation.time, simulation.step_size) == (pytest.approx(0.1), 4e-3)
     simulation.step()
     assert simulation.time == pytest.approx(0.104)
@@ -283,7 +283,7 @@ def test_step_size_changes_while_running():
 def test_impossible_step_size_is_refused_and_the_old_one_stays(size):
     simulation = simulate(*machines.ladder(1, 0.4))
     with pytest.raises(ValueError):
-        simulation.stepping.set_step_size(size)
+        simulation.stepping.prepare_method(step_size=size)()
     assert simulation.step_size == 1e-3
 
 
@@ -291,7 +291,7 @@ def test_step_size_too_large_for_a_spring_is_refused():
     simulation = pendulum(
         JointSpring('joint_0', 1e6, 0.0), Method(integrator='rk4', step_size=1e-4))
     with pytest.raises(StiffnessError):
-        simulation.stepping.set_step_size(1e-2)
+        simulation.stepping.prepare_method(step_size=1e-2)()
     assert simulation.step_size == 1e-4
 
 

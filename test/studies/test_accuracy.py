@@ -9,8 +9,8 @@ import math
 
 from closedloop_dynamics import Initial, load_scene, Method, Simulation, SimulationError
 from closedloop_dynamics.cli import main
-from closedloop_dynamics.integration.registry import INTEGRATORS, STABILISATIONS
 from closedloop_dynamics.kinematics.motions import moving
+from closedloop_dynamics.scene.integrators import INTEGRATORS, STABILISATIONS
 from closedloop_dynamics.studies import accuracy, reference
 from closedloop_dynamics.studies.accuracy import (
     default_lines, Line, Row, Setting, settings, Study, study_accuracy)

@@ -193,7 +193,7 @@ def test_simulations_are_kept_until_something_changes(monkeypatch):
     assert not built
     simulation.set_effect('gravity', acceleration=(0.0, -1.62))
     second = simulation.rollout(duration=0.05).position
-    simulation.stepping.set_step_size(5e-4)
+    simulation.stepping.prepare_method(step_size=5e-4)()
     assert simulation.rollout(duration=0.05).position.shape[1] == 101
     assert [scene.method.step_size for scene in built] == [1e-3, 5e-4]
     assert not np.array_equal(second, first)

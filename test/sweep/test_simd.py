@@ -14,8 +14,8 @@ from closedloop_dynamics.codegen.function_table import ENERGIES
 from closedloop_dynamics.codegen.lanes import LANES
 from closedloop_dynamics.effects.registry import EFFECTS
 from closedloop_dynamics.engine import native
-from closedloop_dynamics.integration.batch import build_batch, find_energies, Lane
-from closedloop_dynamics.integration.control import DONE, SINGULAR
+from closedloop_dynamics.engine.status import DONE, SINGULAR
+from closedloop_dynamics.simulation.batch import build_batch, find_energies, Lane
 from closedloop_dynamics.simulation.rollout_run import QUANTITIES, SimdRuns, STATE
 import numpy as np
 import pytest

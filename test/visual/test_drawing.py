@@ -4,7 +4,7 @@
 """Pictures show the mechanism where it is, with units, and legends that cover nothing."""
 
 from closedloop_dynamics import read_mechanism, Simulation
-from closedloop_dynamics.mechanism import closure as closures, kinematics
+from closedloop_dynamics.mechanism import kinematics
 from closedloop_dynamics.recording.run import columns, Report, run
 from closedloop_dynamics.scene.loading import config_directory
 from closedloop_dynamics.visual import pictures, trajectory as motions
@@ -14,6 +14,8 @@ from matplotlib.backends.backend_agg import FigureCanvasAgg
 from matplotlib.figure import Figure
 import numpy as np
 import pytest
+
+from ..reference import loop_closure as closures
 
 SCENES = ('carpet_scraper', 'four_bar', 'hoeken_pantograph_leg', 'slider_crank', 'three_rrr')
 # Of joints that all turn, as those of another one; more of them take longer to draw.

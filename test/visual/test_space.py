@@ -6,7 +6,7 @@
 from dataclasses import replace
 
 from closedloop_dynamics import Point
-from closedloop_dynamics.mechanism import closure as closures, kinematics
+from closedloop_dynamics.mechanism import kinematics
 from closedloop_dynamics.visual import animation as animations, pictures, trajectory as motions
 from closedloop_dynamics.visual.appearance import convex_hull, solid
 from closedloop_dynamics.visual.drawing import all_places, MechanismArtist
@@ -16,7 +16,8 @@ import numpy as np
 import pytest
 
 from .test_drawing import check_picture, drawn, pictures_of
-from ..reference import cases, spatial_linkages, spatial_machines, spatial_maximal as twin
+from ..reference import (
+    cases, loop_closure as closures, spatial_linkages, spatial_machines, spatial_maximal as twin)
 
 MACHINES = ('bricard', 'delta_robot', 'rssr_four_bar', 'stewart_platform')
 LARGE = ('bricard', 'delta_robot', 'stewart_platform')

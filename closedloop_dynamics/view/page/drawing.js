@@ -2,9 +2,9 @@
 
 // Metres and radians of units.
 const LENGTH_UNITS = {mm: 1e-3, cm: 1e-2, m: 1, inch: 0.0254}, DEGREE = Math.PI / 180;
-// Of bars [kg/m], of gears, cams and other discs [kg/m^2], of blocks that slide [kg].
+// Masses of bars [kg/m], of gears, cams and other discs [kg/m^2], of blocks that slide [kg].
 const BAR_DENSITY = 1, DISC_DENSITY = 40, BLOCK_MASS = 0.1;
-// Of springs and dampers that are new [N/m, N s/m].
+// Coefficients of new springs and dampers [N/m, N s/m].
 const SPRING_STIFFNESS = 100, DAMPER_DAMPING = 1;
 // The pin of a Geneva drive, and what is beside it in a slot, against the distance of both axes.
 const GENEVA_PIN = 0.05, GENEVA_CLEARANCE = 2e-4;

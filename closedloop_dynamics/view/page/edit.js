@@ -20,7 +20,7 @@ const IN_PLANE = ['link', 'pin'], OF_JOINT = ['damper', 'drive'];
 // The address of what the server of this page has.
 const served = (path) => escaped(`/${path}${location.search}`);
 
-// Of what a page is made of: where it differs, the page is built again.
+// The data that a page is built from: where they differ, the page is built again.
 function structure(scene) {
   const names = (items) => items.map(({name, type, actuated}) => [name, type, actuated]);
   return JSON.stringify([scene.title, scene.planar, scene.columns, scene.plots, scene.loads,

@@ -24,7 +24,7 @@ class Files {
   get name() { return this.page.scene.title.replace(/[^A-Za-z0-9_-]+/g, '_').replace(/^_+|_+$/g, ''); }
 
   give(name, blob) {
-    // Of the page's own document: a click on a link of a template's, which has no window, does nothing.
+    // A link in the page's own document: in that of a template, without a window, a click does nothing.
     const link = Object.assign(document.createElement('a'), {
       download: name, href: URL.createObjectURL(blob)});
     link.click();

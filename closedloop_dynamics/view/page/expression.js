@@ -1,5 +1,5 @@
 // Expressions in the time t, as drives have them: value, rate and acceleration at once. Functions
-// with corners are none of them: a motion has no jumps of its speed.
+// with corners are left out: a motion has no jumps of its speed.
 
 const expressionOf = (() => {
   // A number with its first and second derivative by the time.

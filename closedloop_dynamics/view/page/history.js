@@ -138,7 +138,7 @@ function unpacked(text, Kind) {
 function packed(values) {
   const bytes = new Uint8Array(values.buffer, values.byteOffset, values.byteLength);
   const parts = [];
-  // Of whole groups of three bytes, so that the parts can be joined.
+  // Each part has whole groups of three bytes, so that the parts can be joined.
   for (let k = 0; k < bytes.length; k += 24_576) {
     parts.push(btoa(String.fromCharCode(...bytes.subarray(k, k + 24_576))));
   }

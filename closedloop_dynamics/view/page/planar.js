@@ -102,7 +102,7 @@ class PlanarEquations {
     return found;
   }
 
-  // Of two points: that of a from that of b, which only the multipliers' signs depend on.
+  // The distance of point a from point b; only the signs of the multipliers depend on the order.
   between(a, atA, b, atB) {
     const [one, other] = [this.point(a, atA), this.point(b, atB)];
     const less = (key) => sum2(one[key], scaled(-1, other[key]));

@@ -4,7 +4,7 @@
 // none that it is to be seen.
 const HIDDEN = 'joint velocity', FEW = 4;
 const TURN = 2 * Math.PI;
-// Of a drag: what counts as one, and what zooms values, too [CSS pixels].
+// Shortest drag, and height from which it zooms values, too [CSS pixels].
 const DRAGGED = 6, TALL = 28;
 
 // Share of what is usual for a machine below which numbers are rounding.
@@ -103,7 +103,7 @@ class Plots {
     const parts = runs.map((run) => ({
       ...run, begin: run.history.before(from), end: run.history.before(to)}));
     const drawn = over < 0 ? null : this.described.plots[over];
-    // Of an angle that makes more than a turn, all turns lie above one another.
+    // All turns of an angle that makes more than one lie above one another.
     const turn = drawn && drawn.unit === 'rad' && drawn.group === 'joint position'
       && this.turns(parts) ? TURN : 0;
     const folded = (value) => (turn ? value - TURN * Math.floor(value / TURN) : value);

@@ -37,7 +37,7 @@ function drawnByProcessor() {
   return /swiftshader|llvmpipe|softpipe|software/i.test(name);
 }
 
-// Of meshes that are stretched again in each frame: the colours that they come in.
+// Colours of the meshes that are stretched again in each frame.
 const STRETCHED = {cylinder: ['force', 'load', 'loose', 'rod'], cone: ['force', 'load', 'loose'],
                    spring: ['load'], pulley: ['wheel'], spokes: ['wheel']};
 
@@ -66,7 +66,7 @@ class Scene extends Camera {
       // Ends of bars are small.
       knob: ballMesh(16), box: boxMesh(), spring: springMesh(), pulley: pulleyMesh(),
       spokes: spokesMesh(), made: new Made()};
-    // Of the effects, as they were received: which are off, and where their anchors are.
+    // The effects, as they were received: which are off, and where their anchors are.
     this.effects = {};
     [this.described, this.size] = [described, described.size];
     this.parts = new Parts(described, this.meshes);
@@ -345,7 +345,7 @@ class Scene extends Camera {
     const gl = this.gl;
     gl.uniformMatrix4fv(this.solid.uniforms.model, false, model);
     gl.bindVertexArray(mesh.array);
-    // Of what is closed the inside is never seen.
+    // The inside of a closed mesh is never seen.
     gl.enable(gl.CULL_FACE);
     if (mesh.closed) gl.drawElements(kind, mesh.closed, gl.UNSIGNED_INT, 0);
     gl.disable(gl.CULL_FACE);

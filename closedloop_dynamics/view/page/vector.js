@@ -113,7 +113,7 @@ class VectorPicture {
     const {draw} = Trails.prototype;
     picture.mesh = (mesh, model, kind = gl.TRIANGLES) => this.take(mesh, model, kind);
     gl.clear = () => { this.layer += 1; };
-    // Of the machine that is compared, too.
+    // Trails of the machine that is compared, too.
     Trails.prototype.draw = function drawn({path}) {
       this.all.forEach((trail, k) => {
         if (trail.shown && picture.shown[k ? 'paths' : 'path']) paths.push({trail, path});
@@ -164,7 +164,7 @@ class VectorPicture {
       if (seen.some(([, , depth]) => !(depth > 0))) continue;
       const [[ax, ay], [bx, by]] = seen, [cx, cy] = seen[each - 1];
       const area = (bx - ax) * (cy - ay) - (by - ay) * (cx - ax);
-      // Of what is closed the inside is never seen.
+      // The inside of a closed mesh is never seen.
       if (each === 3 && (Math.abs(area) < 0.02 || (k < mesh.closed && area > 0))) continue;
       const paint = at(paints, corners[k]);
       const normal = unit(turned(model, [0, 1, 2].map((axis) => [...corners.subarray(k, k + each)]

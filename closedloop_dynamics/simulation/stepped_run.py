@@ -12,8 +12,8 @@ from typing import NamedTuple
 import numpy as np
 
 from .system import number_of_states, parts_of_state
-from .tableau import Tableau
 from ..codegen.function_table import LANES
+from ..scene.tableau import Tableau
 
 # Rows of the scratch of a run beside one for each stage of its method; see sensitivity.hpp.
 SCRATCH_ROWS = 20
@@ -54,7 +54,7 @@ class StepRoutines(NamedTuple):
 class LaneRoutines(NamedTuple):
     """The same for LANES directions or weights side by side."""
 
-    # Of int: addresses, of two routines each; behind it there may be another one, for positions in
+    # Int: addresses, of two routines each; behind it there may be another table, for positions in
     # which these fail.
     table: np.ndarray
     shared: np.ndarray  # What the first of two hands to the second
@@ -120,7 +120,7 @@ def allocate_steps(chart, tableau, actuated, states, differentiates):
     """Allocate so many states before and after a period, with their Jacobians if wanted."""
     nq, nv, k = len(chart.place), len(chart.displacement), len(chart.independent)
     entries, count = chart.parameters.shape
-    # Of rows of Jacobians side by side.
+    # Rows of Jacobians are computed side by side.
     pages, lanes = states if differentiates else 0, -(-2 * k // LANES) * LANES
     wide = lanes * (nq + nv)
     return StateSteps(

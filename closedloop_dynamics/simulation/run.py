@@ -8,9 +8,9 @@ from typing import NamedTuple, Optional
 
 import numpy as np
 
-from .registry import AUTO, INTEGRATORS, STABILISATIONS
-from .tableau import DOPRI5, Tableau
 from ..engine import native
+from ..scene.integrators import AUTO, INTEGRATORS, STABILISATIONS
+from ..scene.tableau import DOPRI5, Tableau
 
 # How a call ends.
 (DONE, COMMAND, CHOICE, FAILED, INACCURATE, ENERGY_LOST, CABLE_LEAPT, NOT_REGULAR,

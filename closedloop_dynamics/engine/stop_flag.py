@@ -3,7 +3,7 @@
 
 """Requests to end long computations of the engine, each with an owner."""
 
-from ..engine import native
+from . import native
 
 
 class StopFlag:

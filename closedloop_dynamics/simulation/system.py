@@ -15,25 +15,10 @@ from ..effects.effect_table import EffectTable
 from ..effects.force_law import FRICTION
 from ..engine.manifold import manifold_of
 from ..engine.types import Handle, Model, RANK_REVEALING_COUNT
+from ..kinematics.loop_model import JointPlaces
 
-# Unrolled code is three to twenty times as fast as loops over bodies. It grows with the mechanism:
-# up to so many operations of an evaluation, as they are traced, it is compiled in fifteen seconds
-# at most, once. In the plane, 0.02 rad beside the flat position of 40 loops in a row, its
-# accelerations are off by 8e-6 m/s^2, those by loops over bodies by 4e-8.
-MOST_UNROLLED_OPERATIONS, MOST_UNROLLED_IN_PLANE = 50_000, 5_000
-# A link of a chain in the plane takes more.
-LEAST_OPERATIONS_OF_A_JOINT = 30
 # Equations that are left out, up to which multipliers of all are found by a routine.
 MOST_LEFT_OUT = 12
-
-
-class JointPlaces(NamedTuple):
-    """Where the joints are, fixed ones left out: those of the tree, then the cut joints."""
-
-    row: np.ndarray  # Int, shape (number of joints in the tree,): Of the bodies that they carry
-    body: np.ndarray  # Int, shape (n, 2): Rows of the two bodies of each
-    #: Shape (2 n, 2 or 3): The joint's point on the one body and on the other [m].
-    point: np.ndarray
 
 
 class AccelerationDerivatives(NamedTuple):
@@ -197,7 +182,7 @@ def build_system(model, baumgarte=0.0, extent=1.0, independent=False, elements=(
 
     """
     if unrolled is None:
-        unrolled = can_be_unrolled(model)
+        unrolled = codegen.can_be_unrolled(model)
     nv, nc, whole = len(model.tree) - 1, len(model.column) - 1, with_all_equations(model)
     effects = None if len(elements) == 0 and cuts is None else EffectTable.of(
         model, whole, elements, cuts)
@@ -256,15 +241,6 @@ def _routines_of_forces(model, joints):
         return ()
     least = (codegen.LEAST_FORCES, codegen.LEFT_OUT) if left_out else ()
     return (codegen.WRENCHES, *least) if left_out or space.is_spatial(model) else ()
-
-
-def can_be_unrolled(model):
-    """Return whether the routines of a mechanism are small enough to be compiled."""
-    most = MOST_UNROLLED_OPERATIONS if space.is_spatial(model) else MOST_UNROLLED_IN_PLANE
-    if LEAST_OPERATIONS_OF_A_JOINT * len(model.tree) > most:
-        # Tracing would take long, and end with this, too.
-        return False
-    return codegen.unrolled_size(model, MOST_UNROLLED_OPERATIONS) <= most
 
 
 def refine(system, state):

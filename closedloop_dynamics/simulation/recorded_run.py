@@ -40,7 +40,7 @@ def run_samples(make, start, torque, schedule):
     N]; ``schedule``: steps that a row acts for, from one instant to the next, and in all.
 
     Returns states, shape (n, instants, ns), of the instants that were reached; statuses of
-    ``integration.control``, shape (n,); and, shape (n, 4), the largest error of the energy balance
+    ``engine.status``, shape (n,); and, shape (n, 4), the largest error of the energy balance
     relative to the energy that had moved by then, that error and that energy [J], when it was
     found [s].
     """

@@ -16,12 +16,12 @@ from typing import NamedTuple, Optional
 
 import numpy as np
 
-from .registry import INDEPENDENT
 from ..codegen import function_table as calls, lanes
 from ..codegen.lanes import LANES
 from ..codegen.routines import topology
 from ..effects import scene_code
 from ..engine.types import Handle
+from ..scene.integrators import INDEPENDENT
 
 
 class Batch(NamedTuple):
@@ -39,12 +39,12 @@ class Batch(NamedTuple):
     error: np.ndarray  # Shape (LANES,): largest closure error of each
     manifold: Optional[Handle]  # Of all of them
     rates: np.ndarray  # Shape (LANES * nz,): of the effects' states
-    # Of effects, shape (LANES * rows * columns,): as ``Contacts.now`` and ``Contacts.trial``.
+    # Gaps of effects, shape (LANES * rows * columns,): as ``Contacts.now``, ``Contacts.trial``.
     gaps: np.ndarray
     trials: np.ndarray
     # Shape (LANES * 3,): what ``find_energies`` finds; of no length without effects.
     energies: np.ndarray
-    # Of frictions, shape (LANES * nf * (nv + nc),) and (LANES * nf,): ``StaticFriction.response``
+    # Frictions, shape (LANES * nf * (nv + nc),) and (LANES * nf,): ``StaticFriction.response``
     # without its last row, and the limit, zero where the joint slides.
     response: np.ndarray
     friction: np.ndarray

@@ -1,18 +1,17 @@
 # SPDX-FileCopyrightText: 2026 The closedloop_dynamics authors
 # SPDX-License-Identifier: Apache-2.0
 
-"""How far loops and couplings are from closing, from the description alone."""
+"""A twin of closure equations: how far loops and couplings are from closing."""
 
-import numpy as np
-
-from .coupling_law import law_value
-from .couplings import in_tree, measured
-from .cut_freedoms import cut_freedoms
-from .kinematics import body_poses, pose_of, world_points
-from .mechanism import (
+from closedloop_dynamics.mechanism.coupling_law import law_value
+from closedloop_dynamics.mechanism.couplings import in_tree, measured
+from closedloop_dynamics.mechanism.cut_freedoms import cut_freedoms
+from closedloop_dynamics.mechanism.kinematics import body_poses, pose_of, world_points
+from closedloop_dynamics.mechanism.mechanism import (
     CUT_WITH_ORIENTATION, CYLINDRICAL, DISTANCE, FIXED, HELICAL, PLANAR, POINT_ON_LINE,
     POINT_ON_PLANE, PRISMATIC, REVOLUTE, UNIVERSAL)
-from .rotations import composed, CONJUGATE, direction, rotated
+from closedloop_dynamics.mechanism.rotations import composed, CONJUGATE, direction, rotated
+import numpy as np
 
 
 def closure_errors(mechanism, poses):
@@ -27,43 +26,22 @@ def closure_errors(mechanism, poses):
     for cut in mechanism.cut_joints:
         pose_a, pose_b = (pose_of(mechanism, poses, body) for body in (cut.body_a, cut.body_b))
         gap = world_points(pose_a, cut.point_a) - world_points(pose_b, cut.point_b)
-        errors += [vector[..., k] for vector in parts_of(cut, pose_a, pose_b, gap).values()
+        errors += [vector[..., k] for vector in parts_of(cut, pose_a, pose_b, gap)
                    for k in range(vector.shape[-1])]
     return errors
 
 
-def open_parts(mechanism, position, cut):
-    """
-    Return how far the parts of a cut joint are open, with units and in words, at a position.
-
-    Shape (nq,). Nothing where its points alone are to coincide.
-    """
-    poses = body_poses(mechanism, position)
-    pose_a, pose_b = (pose_of(mechanism, poses, body) for body in (cut.body_a, cut.body_b))
-    gap = world_points(pose_a, cut.point_a) - world_points(pose_b, cut.point_b)
-    parts = (_planar_parts if mechanism.planar else _spatial_parts)(cut, pose_a, pose_b, gap)
-    if list(parts) == [POINTS]:
-        return {}
-    return {words: float(np.linalg.norm(vector)) for words, vector in parts.items()}
-
-
-# Parts of a cut joint, as messages name them.
-POINTS, LINE, PLANE = 'm between its points', 'm beside its axis', 'm off its plane'
-LENGTH, TURN, TILT = 'm of its length', 'rad of its angle', 'rad between its axes'
-SQUARE, THREAD = 'rad from a right angle of its axes', 'm along its thread'
-
-
 def _planar_parts(cut, pose_a, pose_b, gap):
-    parts = {}
+    parts = []
     if cut.type in (PRISMATIC, POINT_ON_LINE):
         along = direction(pose_b[..., 2] + cut.angle)
-        parts[LINE] = (gap[..., 1] * along[..., 0] - gap[..., 0] * along[..., 1])[..., np.newaxis]
+        parts.append((gap[..., 1] * along[..., 0] - gap[..., 0] * along[..., 1])[..., np.newaxis])
     elif cut.type == DISTANCE:
-        parts[LENGTH] = (np.hypot(gap[..., 0], gap[..., 1]) - cut.length)[..., np.newaxis]
+        parts.append((np.hypot(gap[..., 0], gap[..., 1]) - cut.length)[..., np.newaxis])
     else:
-        parts[POINTS] = gap
+        parts.append(gap)
     if cut.type in (PRISMATIC, FIXED):
-        parts[TURN] = (pose_a[..., 2] - pose_b[..., 2] - cut.angle)[..., np.newaxis]
+        parts.append((pose_a[..., 2] - pose_b[..., 2] - cut.angle)[..., np.newaxis])
     return parts
 
 
@@ -71,31 +49,31 @@ def _spatial_parts(cut, pose_a, pose_b, gap):
     along_a, along_b = (
         None if axis is None else rotated(pose[..., 3:], np.array(axis) / np.linalg.norm(axis))
         for pose, axis in ((pose_a, cut.axis_a), (pose_b, cut.axis_b)))
-    parts = {}
+    parts = []
     if cut.type in (PRISMATIC, CYLINDRICAL, HELICAL, POINT_ON_LINE):
-        parts[LINE] = np.cross(gap, along_b)
+        parts.append(np.cross(gap, along_b))
     elif cut.type in (PLANAR, POINT_ON_PLANE):
-        parts[PLANE] = np.sum(gap * along_b, axis=-1, keepdims=True)
+        parts.append(np.sum(gap * along_b, axis=-1, keepdims=True))
     elif cut.type == DISTANCE:
-        parts[LENGTH] = np.linalg.norm(gap, axis=-1, keepdims=True) - cut.length
+        parts.append(np.linalg.norm(gap, axis=-1, keepdims=True) - cut.length)
     else:
-        parts[POINTS] = gap
+        parts.append(gap)
     if cut.type in CUT_WITH_ORIENTATION:
         # The turn that is left of body A's frame against where the joint holds it, or began.
         held = composed(pose_b[..., 3:], np.array(cut.orientation))
         left = composed(pose_a[..., 3:], held * CONJUGATE)
     if cut.type in (REVOLUTE, CYLINDRICAL, PLANAR):
-        parts[TILT] = np.cross(along_a, along_b)
+        parts.append(np.cross(along_a, along_b))
     elif cut.type == UNIVERSAL:
-        parts[SQUARE] = np.sum(along_a * along_b, axis=-1, keepdims=True)
+        parts.append(np.sum(along_a * along_b, axis=-1, keepdims=True))
     elif cut.type in (PRISMATIC, FIXED):
-        parts[TURN] = 2.0 * left[..., 3:] * left[..., :3]
+        parts.append(2.0 * left[..., 3:] * left[..., :3])
     elif cut.type == HELICAL:
-        parts[TILT] = np.cross(rotated(left, along_b), along_b)
+        parts.append(np.cross(rotated(left, along_b), along_b))
         angle = 2.0 * np.arctan2(np.sum(left[..., :3] * along_b, axis=-1), left[..., 3])
         # As many turns as there are between the two is not given by where bodies are.
         turned = np.sum(gap * along_b, axis=-1) / cut.lead - angle
-        parts[THREAD] = cut.lead * ((turned + np.pi) % (2.0 * np.pi) - np.pi)[..., np.newaxis]
+        parts.append(cut.lead * ((turned + np.pi) % (2.0 * np.pi) - np.pi)[..., np.newaxis])
     return parts
 
 

@@ -18,7 +18,7 @@ FIXED, ADAPTIVE = 'fixed step', 'adaptive'
 EXPLICIT, ROSENBROCK, SWITCHING = 'explicit', 'rosenbrock', 'switching'
 # The default.
 AUTO = 'auto'
-# Of RODAS4.
+# Order of RODAS4.
 ROSENBROCK_ORDER = 4
 
 
