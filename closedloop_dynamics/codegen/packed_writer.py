@@ -53,11 +53,14 @@ class PackedWriter(Writer):
         if not any(isinstance(one, int) for one in operands):
             return numbers([float(one) for one in padded])
         if number is None:
-            vector = self.function.gather([self.number(one) for one in padded])
+            vector = self.function.gather(
+                [self.number(one) for one in operands]
+                + (width - len(operands)) * [(DOUBLE, 'undef')])
         else:
             vector = self.vectors[number]
             if vector[0] != vector_of(DOUBLE, width) or (
                     lanes[:len(operands)] != list(range(len(operands)))):
-                vector = self.function.shuffle(vector, lanes)
+                vector = self.function.shuffle(
+                    vector, lanes[:len(operands)] + (width - len(operands)) * ['undef'])
         self.gathered[operands] = vector
         return vector
