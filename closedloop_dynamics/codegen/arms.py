@@ -20,13 +20,15 @@ an arm, where it returns False.
 """
 
 import functools
+from itertools import zip_longest
 
 from . import elimination, space
 from .expression_graph import chosen, larger
 from .forward_dynamics import to_user_order
 from .spatial import at_parent, shifted, Z
 from .vectors import (
-    add, cross, dot, is_number, negate, scale, subtract, symmetric, times, transpose, ZERO)
+    add, cross, dot, is_number, is_zero, negate, scale, subtract, symmetric, times, transpose,
+    ZERO)
 from ..engine.types import (
     BODY_A, BODY_B, DOF, EVALUATIONS, NO_RESPONSES, PARENT, ROW, ROWS)
 
@@ -151,6 +153,11 @@ class Plan:
             body = self.parent[body]
         return found
 
+    def free(self, recursion):
+        """Return the rows of floating bodies, none where rotors stand on any body."""
+        return tuple(self.floating) if is_zero(sum(
+            (body.rotor for body in recursion.bodies[1:]), ())) else ()
+
     def _find_floating(self, recursion, model):
         """Return the bodies with their full freedom that two cut joints or more hold."""
         flat = all(one.turned is None and (one.axis == Z) == bool(one.turns)
@@ -210,33 +217,41 @@ class Equations:
     """
     The symmetric system of accelerations x and negative multipliers m: M x + J^T m = f, J x = g.
 
-    ``matrix``: entries by keys of unknowns and equations, both halves; ``right``: f and g.
+    ``matrix``: terms of entries by keys of unknowns and equations, both halves.
     """
 
     def __init__(self):
-        self.matrix, self.right, self._squares, self._undo = {}, {}, {}, []
+        self.matrix, self._right, self._squares, self._undo = {}, {}, {}, []
 
     def add(self, a, b, value):
         """Add to the entries of two keys."""
         if not is_number(value, 0.0):
-            for one, other in {(a, b), (b, a)}:
-                row = self.matrix.setdefault(one, {})
-                row[other] = row[other] + value if other in row else value
+            terms = self.matrix.setdefault(a, {}).setdefault(b, [])
+            terms.append(value)
+            self.matrix.setdefault(b, {})[a] = terms
 
     def add_right(self, key, value):
         """Add to the right side of a key."""
-        self.right[key] = self.right.get(key, 0.0) + value
+        self._right.setdefault(key, []).append(value)
+
+    def entry(self, a, b):
+        """Return the entry of two keys."""
+        return _balanced(self.matrix.get(a, {}).get(b, []))
+
+    def right(self, key):
+        """Return the right side of a key."""
+        return _balanced(self._right.get(key, []))
 
     def _take(self, keys):
         """Take several out; return the entries among them, those beside, and the right sides."""
-        inner = [[self.matrix.get(a, {}).get(b, 0.0) for b in keys] for a in keys]
+        inner = [[self.entry(a, b) for b in keys] for a in keys]
         outer = {}
         for n, key in enumerate(keys):
-            for other, value in self.matrix.pop(key, {}).items():
+            for other, terms in self.matrix.pop(key, {}).items():
                 if other not in keys:
-                    outer.setdefault(other, len(keys) * [0.0])[n] = value
+                    outer.setdefault(other, len(keys) * [0.0])[n] = _balanced(terms)
                     del self.matrix[other][key]
-        return inner, outer, [self.right.pop(key, 0.0) for key in keys]
+        return inner, outer, [_balanced(self._right.pop(key, [])) for key in keys]
 
     def eliminate(self, keys):
         """Eliminate up to three keys; return their determinant."""
@@ -258,7 +273,7 @@ class Equations:
 
     def _square(self, key, rows):
         """Return the square of the lever that a key has in equations."""
-        values = [self.matrix[row].get(key, 0.0) for row in rows]
+        values = [self.entry(row, key) for row in rows]
         return total(self._squares.get((row, key), value * value)
                      for row, value in zip(rows, values))
 
@@ -280,7 +295,7 @@ class Equations:
         across these.
         """
         fewer, spare = len(joints) < len(rows), len(joints) > len(rows)
-        columns = [[self.matrix[row].get(joint, 0.0) for row in rows] for joint in joints]
+        columns = [[self.entry(row, joint) for row in rows] for joint in joints]
         squares = [self._square(joint, rows) for joint in joints]
         mass, coupled, force = self._take(joints)
         coupled = {key: column for key, column in coupled.items() if key not in rows}
@@ -410,6 +425,7 @@ def _assemble(recursion, model, work, tau, baumgarte, plan):
             found.add(row, (body, n), 1.0)
             own, wrench = recursion.transmit_wrench(body, negate(unit))
             found.add(row, body, own)
+            found.add_right(row, recursion.started.get(body, 2 * ZERO)[n])
             _spread(recursion, plan, {plan.parent[body]: wrench}, row, found)
     for a, cut in enumerate(model.cut):
         for row, equation in zip(_rows(cut), recursion.closures(model, a)):
@@ -518,17 +534,31 @@ def eliminate(plan, found, turning):
             spare = least(spare, sine)
         else:
             smallest = least(smallest, sine)
-    scales = {key: found.matrix[key][key] for keys in plan.unknowns for key in keys}
+    scales = {key: found.entry(key, key) for keys in plan.unknowns for key in keys}
     for keys in plan.unknowns:
         # False for a NaN, too.
         bool(found.eliminate(keys) > ROUNDING * _product([scales[key] for key in keys]))
     bool(smallest >= SMALL_SINE)
     for row in plan.rest:
-        diagonal = found.matrix[row][row]
+        diagonal = found.entry(row, row)
         smallest = least(smallest, found.eliminate([row]) / diagonal)
     bool(smallest >= elimination.SMALL_PIVOT)
     bool(spare >= elimination.POOR_PIVOT)
     return least(smallest, spare)
+
+
+def _balanced(terms):
+    """
+    Return a sum, and keep it in the place of its terms, in pairs: it waits for fewer of them.
+
+    What was there first comes last, so that equal arms are in equal pairs.
+    """
+    terms[:] = terms[1:] + terms[:1]
+    while len(terms) > 1:
+        half = (len(terms) + 1) // 2
+        terms[:] = [total(pair) for pair in zip_longest(
+            terms[:half], terms[half:], fillvalue=0.0)]
+    return terms[0] if terms else 0.0
 
 
 def _product(values):

@@ -187,10 +187,10 @@ class _Tree:
             i for i in rows if self.recursion.bodies[i].turns}))
         if closing > 0:
             keys = [(closing, n) for n in range(6)]
-            more = [[found.matrix.get(one, {}).get(other, 0.0) for other in keys] for one in keys]
+            more = [[found.entry(one, other) for other in keys] for one in keys]
             self.inertia[closing] = tuple(map(add, self.inertia[closing], more))
             self.force[closing] = tuple(
-                value - found.right.get(key, 0.0) for value, key in zip(self.force[closing], keys))
+                value - found.right(key) for value, key in zip(self.force[closing], keys))
 
         def undo(x):
             x.update(((closing, n), value) for n, value in enumerate(self.acceleration[closing]))

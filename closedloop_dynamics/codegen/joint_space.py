@@ -105,7 +105,15 @@ def _gyroscopic(spin, inertia):
 
 
 class JointSpace(Recursion):
-    """The same recursions, with the equations of motion; ``views`` are there after ``outward``."""
+    """
+    The same recursions, with the equations of motion; ``views`` are there after ``outward``.
+
+    ``free``: rows of floating bodies, whose whole accelerations are unknown where forces are
+    ``apart``: they do not wait for those that carry them. ``started``: what those would give them
+    for qdd = 0, by row, after ``outward`` (tuple of 6).
+    """
+
+    free, started = (), {}
 
     def outward(self, model, q, qd, work, written=None):
         """As of ``Recursion``."""
@@ -118,13 +126,16 @@ class JointSpace(Recursion):
             self.views.append(
                 self._ball(i, p, q[first:first + 4], qd[dof - body.axis:][:3]) if body.ball
                 else self._view(i, p, q[first], qd[dof], i in shared))
+            if i in self.free:
+                self._release(i, parents)
 
     def _shared(self, parents):
         """Return the bodies in whose ``base`` further angles are counted: they share its axes."""
         rows = range(1, len(parents))
         if self.is_parallel:
             return set(rows)
-        counted, found = {i for i in rows if self.bodies[i].turned is None}, set()
+        counted, found = {i for i in rows if self.bodies[i].turned is None
+                          and not self.bodies[i].ball}, set()
         for i in reversed(rows):
             if i in counted and parents[i] > 0 and (self.bodies[i].turns or i in found):
                 found.add(parents[i])
@@ -168,6 +179,18 @@ class JointSpace(Recursion):
         before = times(transpose(turn), parent.motion.spin)
         view = View(last.frame, IDENTITY, turn, parent.motion)
         return _moved(view, offset, add(before, rates), cross(before, rates), ZERO, axis)
+
+    def _release(self, i, parents):
+        """Leave the whole acceleration of a body to what is unknown."""
+        body, view = self.bodies[i], self.views[i]
+        motion = view.motion
+        first = i - body.axis if body.ball else i
+        before = self.views[parents[first]]
+        # As of points of other bodies.
+        linear = times(view.axes, motion.acceleration) if body.slides else times(
+            before.axes, _accelerated(before.motion, self.views[first].motion.offset))
+        self.started = {**self.started, i: times(view.axes, motion.spin_rate) + linear}
+        self.views[i] = view._replace(motion=motion._replace(spin_rate=ZERO, acceleration=ZERO))
 
     def equations(self, model, a):
         """As of ``Recursion``; accelerations of points are found in the axes of views."""

@@ -14,6 +14,7 @@ import heapq
 
 from .expression_graph import (
     ADD, DIVIDE, LOAD, MULTIPLY, needed_for, NEGATE, SUBTRACT)
+from .function_table import BODY, CUT_POINT
 
 _PACKED = (ADD, SUBTRACT, MULTIPLY, DIVIDE, NEGATE)
 # Lanes of a vector at most; how many operations are at least put into one, of which the better is
@@ -56,7 +57,8 @@ def alike(operations, use, apart, fewest):
     for place in use:
         kind, *operands = operations[place]
         if kind == LOAD:
-            key = kind, operands[0]
+            # A joint of the tree has its place among the bodies' constants.
+            key = kind, BODY if operands[0] == CUT_POINT else operands[0]
         else:
             # A sum of two products rounds one of them.
             if kind == MULTIPLY or kind == ADD and any(
@@ -68,7 +70,7 @@ def alike(operations, use, apart, fewest):
         kinds[place] = numbers.setdefault(key, len(numbers))
         if kind in _PACKED and place not in apart:
             bits = inputs[place]
-            found[kinds[place], bits.bit_count()][bits].append(place)
+            found[kinds[place]][bits].append(place)
     groups = []
     for members in found.values():
         # A branch that has operations of its own, such as the one that carries a platform in the
@@ -145,7 +147,7 @@ class Packing:
                         taken.update(members)
                         found.append(members)
                         rest += zip(*(operations[one][1:] for one in members))
-        self._follow(found, taken)
+        self._follow(kinds, found, taken, fewest)
         self.bundles = dict(enumerate(found))
         self.at = {place: (number, lane) for number, members in self.bundles.items()
                    for lane, place in enumerate(members)}
@@ -156,26 +158,31 @@ class Packing:
                 for place in self.bundles.pop(number):
                     del self.at[place]
 
-    def _follow(self, found, taken):
-        """Add what is done next with all numbers of a bundle, be it with the same other number."""
+    def _follow(self, kinds, found, taken, fewest):
+        """Add what is done next with numbers of a bundle, from the first lane on."""
         operations, at = self.operations, {}
         for number, members in enumerate(found):
             at.update((one, (number, lane)) for lane, one in enumerate(members))
 
-        def beside(first, other, lane):
-            """Return whether an operation does in a lane what another one does in the first."""
-            return other not in taken and operations[first][0] == operations[other][0] and all(
-                a == b or a in at and at.get(b) == (at[a][0], lane) and at[a][1] == 0
-                for a, b in zip(operations[first][1:], operations[other][1:]))
+        def shared(first, other, lane):
+            """Return how many operands are in a lane what those of another are in the first."""
+            if other in taken or kinds[first] != kinds[other]:
+                return 0, 0
+            pairs = list(zip(operations[first][1:], operations[other][1:]))
+            beside = sum(a in at and at.get(b) == (at[a][0], lane) and at[a][1] == 0
+                         for a, b in pairs)
+            return min(beside, 1), beside + sum(a == b for a, b in pairs)
 
         # More are found on the way.
         for members in found:
             for first in self._users[members[0]]:
                 lanes = [first] if first not in taken else []
                 for lane, one in enumerate(members[1:], start=1):
-                    lanes += [other for other in self._users[one]
-                              if lanes and other not in lanes and beside(first, other, lane)][:1]
-                if len(lanes) == len(members):
+                    best = max(self._users[one], default=first,
+                               key=lambda other: shared(first, other, lane))
+                    if len(lanes) == lane and best not in lanes and shared(first, best, lane)[0]:
+                        lanes.append(best)
+                if len(lanes) >= fewest:
                     at.update((one, (len(found), lane)) for lane, one in enumerate(lanes))
                     taken.update(lanes)
                     found.append(tuple(lanes))

@@ -194,14 +194,17 @@ class MechanismTrace:
         self.outputs = []
         # What the arrays hold, of a mechanism in space or in the plane.
         self.arrays = space if space.is_spatial(model) else plane
-        bodies = self.arrays.bodies(model, self.model.body)
-        cuts = self.arrays.cuts(model, self.model.cut_point)
-        self.recursion = joint_space.JointSpace(
-            bodies, cuts, (*self.model.gravity, *(3 - len(model.gravity)) * (0.0,)),
-            space.hinges(model, bodies, cuts) if self.arrays is space else ())
+        self.recursion = self.recursion_of(self.arrays.bodies(model, self.model.body))
         self.with_arms = with_arms and arms.Plan.of(self.recursion, model) is not None
         self.clusters = clusters.clusters(self.recursion, model) if with_arms else None
         self.by = by
+
+    def recursion_of(self, bodies):
+        """Return the recursions of a mechanism of these bodies."""
+        cuts, gravity = self.arrays.cuts(self.constant, self.model.cut_point), self.model.gravity
+        return joint_space.JointSpace(
+            bodies, cuts, (*gravity, *(3 - len(gravity)) * (0.0,)),
+            space.hinges(self.constant, bodies, cuts) if self.arrays is space else ())
 
     def cut_points(self):
         """Return symbols for ``Model.cut_point``."""
@@ -233,6 +236,9 @@ class MechanismTrace:
         """Return the same as it is traced, without what does it otherwise."""
         self.by_arms = False
         if which in (EVALUATION, ACCELERATION) and self.method() in IN_JOINTS:
+            if self.by_arms and self.arrays is space:
+                self.recursion = self.recursion_of(
+                    space.bodies(self.constant, self.model.body, arms=True))
             self.recursion.hinges = ()
         try:
             getattr(self, NAMES[which])()
@@ -269,7 +275,10 @@ class MechanismTrace:
 
         In the plane their axes are the world's, too, and accelerations those of two parts.
         """
-        self.recursion.apart = self.arrays is space and self.method() in IN_JOINTS
+        method = self.method()
+        self.recursion.apart = self.arrays is space and method in IN_JOINTS
+        if self.recursion.apart and method is arms:
+            self.recursion.free = arms.Plan.of(self.recursion, self.constant).free(self.recursion)
         self.recursion.outward(self.model, self.q, self.qd, self.work)
 
     def outward(self):

@@ -16,7 +16,7 @@ from .spatial import Body, Cut, X, Y, Z
 from .vectors import IDENTITY, is_zero, ZERO
 from ..engine.types import (
     AXIS, BALL, BODY_A, BODY_B, COUPLED_PLACE, COUPLED_TURN, CUT_NUMBER, CUT_ROW, CUT_TYPE,
-    FACTORS, HELD_SUM, HELICAL, KEPT, LENGTHS, MOTION_COLUMNS, PARENT, PATH_A, PATH_B, PATH_COMMON,
+    FACTORS, HELD_SUM, HELICAL, KEPT, LENGTHS, MOTION_COLUMNS, PARENT, PATH_A, PATH_COMMON,
     PATH_END, PRESCRIBED_JOINT, PRESCRIBED_PLACE, PRESCRIBED_TURN, PRISMATIC, REVOLUTE, ROW, ROWS,
     TYPE, VARIES)
 
@@ -184,10 +184,12 @@ def _cut_structure(model):
     return found
 
 
-def _alike(cut):
-    """Yield rows of cut joints of one type on paths of one shape: their operations are alike."""
-    ends = cut[:, [PATH_A, PATH_B, PATH_COMMON, PATH_END]]
-    shapes = np.column_stack([cut[:, [CUT_TYPE, KEPT]], np.diff(ends)])
+def _alike(model, rows):
+    """Yield rows of cut joints of one type between ``rows`` of one kind, for alike operations."""
+    kinds, cut = np.zeros(len(model.tree), dtype=int), model.cut
+    for some in rows:
+        kinds[some] = some[0]
+    shapes = np.column_stack([cut[:, [CUT_TYPE, KEPT]], kinds[cut[:, [BODY_A, BODY_B]]]])
     for shape in np.unique(shapes, axis=0):
         yield np.flatnonzero((shapes == shape).all(axis=1))
 
@@ -237,14 +239,33 @@ def _equal_moments(body, varies):
             for m, n in ((0, 1), (0, 2), (1, 2))]
 
 
+def _sisters(model):
+    """Yield rows of the tree of one kind behind ones of one kind: their operations are alike."""
+    kinds, rows = [0], {}
+    for row, one in list(enumerate(model.tree))[1:]:
+        key = (kinds[one[PARENT]], *one[[TYPE, AXIS]], model.body[row, PARALLEL])
+        kinds.append(row)
+        rows.setdefault(key, []).append(row)
+        kinds[row] = rows[key][0]
+    yield from rows.values()
+
+
 def _known(structural, symbols):
     """Return symbols, and numbers where they are structural."""
     return np.where(np.isnan(structural), symbols, structural.astype(object))
 
 
-def bodies(model, symbols):
-    """Describe the rows of a tree in space by symbols, shape (nb + 1, BODY_COLUMNS)."""
+def bodies(model, symbols, arms=False):
+    """
+    Describe the rows of a tree in space by symbols, shape (nb + 1, BODY_COLUMNS).
+
+    ``arms``: whether equal arms are to take equal operations, with numbers where one has zeros.
+    """
     pattern = body_structure(model)
+    for alike in _sisters(model) if arms else ():
+        rows = pattern[alike]
+        pattern[alike] = np.where((rows == rows[0]).all(axis=0), rows, np.nan)
+        pattern[alike, BODY_COLUMNS:] = rows[:, BODY_COLUMNS:].all(axis=0)
     found = []
     for kind, axis, fixed, row in zip(model.tree[:, TYPE], model.tree[:, AXIS], pattern, symbols):
         row = _known(fixed[:BODY_COLUMNS], row)
@@ -303,7 +324,7 @@ def hinges(model, some, cuts):
 def cuts(model, symbols):
     """Describe the cut joints of a mechanism in space by symbols, as of ``Model.cut_point``."""
     pattern, found = _cut_structure(model), []
-    for alike in _alike(model.cut):
+    for alike in _alike(model, list(_sisters(model))):
         points = pattern[alike, :TURNED_A]
         pattern[alike, :TURNED_A] = np.where(np.isnan(points).any(axis=0), np.nan, points)
     for cut, values, fixed, row in zip(model.cut, model.cut_point, pattern, symbols):

@@ -8,6 +8,7 @@ import ctypes
 from closedloop_dynamics import load_scene, Simulation
 from closedloop_dynamics.codegen import function_table as calls, lanes, routines, space
 from closedloop_dynamics.codegen.arms import Plan
+from closedloop_dynamics.codegen.packing import packing_of
 from closedloop_dynamics.engine import types as t
 from closedloop_dynamics.simulation.system import build_system, number_of_states
 import numpy as np
@@ -45,6 +46,14 @@ def evaluated(model, q, qd, tau, with_arms=True, kind=float):
     outputs, good = interpret(trace(model, with_arms).routine(calls.EVALUATION), inputs)
     return (_array(outputs, calls.QDD, len(qd)), _array(
         outputs, calls.LAM, len(model.column) - 1), good)
+
+
+@pytest.mark.parametrize('name', SPATIAL)
+def test_all_legs_go_side_by_side(name):
+    """The leg that carries the platform, and one along X, whose axes have zeros, too."""
+    routine = trace(drawn(name)[0]).traced(calls.EVALUATION)
+    lanes_of = [len(one) for one in packing_of(routine, []).bundles.values()]
+    assert sum(lanes for lanes in lanes_of if lanes == 6) > 0.35 * len(routine.needed())
 
 
 @pytest.mark.parametrize('name', PLANAR + SPATIAL)
