@@ -287,13 +287,15 @@ class MechanismTrace:
         self.recursion.hinges = ()
         self.recursion.outward(self.model, self.q, self.qd, self.work)
         self.write()
-        self.store(WORK_BODY, self.work.body)
 
     def write(self):
-        """Write motion and forces, in the plane inertias, too, into the rows of the bodies."""
-        one, arrays = self.recursion, self.arrays
-        for row, motion, inertia, force in zip(
-                self.work.body, one.motion, one.inertia, one.force):
+        """
+        Store motion and forces, in the plane inertias, too, in the rows of the bodies.
+
+        Other columns stay as they are: loops over bodies read none that they have not written.
+        """
+        one, arrays, width = self.recursion, self.arrays, self.work.body.shape[1]
+        for i, (motion, inertia, force) in enumerate(zip(one.motion, one.inertia, one.force)):
             columns = columns_of(motion, arrays.MOTION)
             if force is not None:
                 columns.update(by_column(force, arrays.FORCES))
@@ -301,7 +303,7 @@ class MechanismTrace:
                 columns.update(by_column(inertia, arrays.INERTIAS))
             for place, value in columns.items():
                 if arrays is plane or place < space.OFFSET:
-                    row[place] = value
+                    self.outputs.append((WORK_BODY, i * width + place, value))
 
     def read(self):
         """Read the rows of ``write`` back, as effects have changed them."""
