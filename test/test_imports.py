@@ -67,6 +67,18 @@ def test_no_mechanism_is_known_by_name():
         assert not shipped & texts, path
 
 
+def test_a_simulation_is_imported_without_what_few_starts_need():
+    heavy = {'asyncio', 'llvmlite.binding', 'matplotlib', 'mujoco', 'multiprocessing', 'rclpy',
+             'scipy', 'unittest'}
+    done = subprocess.run(
+        [sys.executable, '-c',
+         'import sys; from closedloop_dynamics import Simulation; print(*sys.modules)'],
+        cwd=ROOT, text=True, stdout=subprocess.PIPE, check=True)
+    loaded = set(done.stdout.split())
+    assert 'closedloop_dynamics.simulation.simulation' in loaded
+    assert not heavy & loaded
+
+
 @functools.lru_cache(maxsize=1)
 def nodes_of(folder):
     """Return all nodes of the syntax tree of every file in a folder, by its path."""
