@@ -374,7 +374,8 @@ def test_process_estimates_what_a_simulator_publishes(processes, listener):
                     wait_for_subscribers=3)
     source = processes.start(SOURCE, arguments=drive, scene=MACHINE)
     listener.listen('joint_states', JointState)
-    listener.wait(lambda: unknown and 0.0 < unknown[-1].data[3] < 0.05, 'an estimate of the load')
+    listener.wait(lambda: estimates and unknown and 0.0 < unknown[-1].data[3] < 0.05,
+                  'an estimate of the load')
     *_, mass, deviation = unknown[-1].data
     assert unknown[-1].layout.dim[0].label.split()[2:] == ['part', 'part.deviation']
     assert abs(mass - 5.0) < 5.0 * deviation
