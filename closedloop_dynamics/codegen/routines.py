@@ -349,7 +349,7 @@ class MechanismTrace:
         if self.by is None:
             more = () if self.clusters is None else (clusters,)
             self.by = shorter(self.constant, (arms, *more) if self.with_arms else (
-                *more, *((embedding,) if self.embeds() else BY_JOINTS)))
+                *more, *self._by_multipliers()))
         self.by_arms = self.by is arms or self.by is clusters and clusters.step_aside(
             self.clusters)
         return self.by
@@ -357,6 +357,14 @@ class MechanismTrace:
     def embeds(self):
         """Return whether loops close on bodies: they are eliminated there."""
         return any(embedding.closing_bodies(self.recursion, self.constant))
+
+    def _by_multipliers(self):
+        """Return the modules that apply where multipliers are eliminated one after another."""
+        if not self.embeds():
+            return BY_JOINTS
+        # Where loops have rotors only this one keeps the digits of small pivots.
+        rotors = any(body.armature is not None for body in self.recursion.bodies[1:])
+        return (embedding,) if rotors else (embedding, joint_space)
 
     def accelerate(self, by=None, tau=None):
         """
