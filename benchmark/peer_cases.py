@@ -217,7 +217,9 @@ def run_compiler(variable, default, arguments):
                        check=True, capture_output=True, text=True)
     except (OSError, subprocess.CalledProcessError) as error:
         lines = (getattr(error, 'stderr', '') or str(error)).strip().splitlines()
-        raise NotAdapted(f'not compiled: {lines[0] if lines else error}') from error
+        # Before it stands where the file was included.
+        fault, *_ = (*(line for line in lines if 'error:' in line), *lines, error)
+        raise NotAdapted(f'not compiled: {fault}') from error
 
 
 @dataclass(frozen=True)
