@@ -13,8 +13,8 @@ from closedloop_dynamics.simulation.derivative_code import DerivativeCode
 from closedloop_dynamics.simulation.simulation import Simulation
 
 NAME, DEFAULT = 'closedloop_dynamics', 'default'
-# Of a step that is timed [s].
-STEP = 1e-5
+# Of a step that is timed [s]: of many the energy balance is that of the motion from any state.
+STEP = 1e-6
 
 
 class Engine:
