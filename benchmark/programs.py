@@ -21,6 +21,7 @@ FUNCTIONS = {
     'closedloop_recorder': 'recorder',
     'closedloop_joint_states': 'joint_states',
     'closedloop_estimator': 'estimator',
+    'closedloop_viewer': 'viewer',
 }
 # Said by a node when it works.
 READY = {
@@ -29,6 +30,7 @@ READY = {
     'closedloop_recorder': 'recording',
     'closedloop_joint_states': 'completing',
     'closedloop_estimator': 'estimating',
+    'closedloop_viewer': ' at http',
 }
 # The first start may compile everything [s].
 PATIENCE = 240.0
