@@ -58,7 +58,7 @@ _SIZE = 4
 _addresses, sizes = {}, {}
 # Operations by methods for mechanisms without arms, of which the shortest is taken, and rows of
 # the tree up to which all are traced; methods that work on the equations of motion.
-_by_joints, BY_JOINTS, MOST_ROWS = {}, (forward_dynamics, joint_space), 20
+operations_by_method, BY_JOINTS, MOST_ROWS = {}, (forward_dynamics, joint_space), 20
 IN_JOINTS = arms, clusters, joint_space
 # Methods that may step aside.
 BY_ARMS = arms, clusters
@@ -141,7 +141,7 @@ def operations(model, most=math.inf):
     """
     trace = MechanismTrace(model, most=most)
     method = trace.method()
-    return _by_joints.get(topology(model), {}).get(method) or count_operations(
+    return operations_by_method.get(topology(model), {}).get(method) or count_operations(
         trace.traced(EVALUATION))
 
 
@@ -161,7 +161,7 @@ def shorter(model, ways=BY_JOINTS):
     """
     if len(ways) == 1 or len(model.tree) > MOST_ROWS or not space.is_spatial(model):
         return ways[0]
-    counts = _by_joints.setdefault(topology(model), {})
+    counts = operations_by_method.setdefault(topology(model), {})
     for by in ways:
         if by not in counts:
             counts[by] = count_operations(MechanismTrace(
