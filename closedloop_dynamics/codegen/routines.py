@@ -56,8 +56,8 @@ RECORDED = 2
 # Place of the mechanism's size behind Baumgarte's rate among the settings of a system.
 _SIZE = 4
 _addresses, sizes = {}, {}
-# Operations by methods for mechanisms without arms, of which the shortest is taken, and rows of
-# the tree up to which all are traced; methods that work on the equations of motion.
+# Operations by topology and method, of which the shortest is taken; methods by multipliers; rows
+# of the tree up to which all are traced; methods that work on the equations of motion.
 operations_by_method, BY_JOINTS, MOST_ROWS = {}, (forward_dynamics, joint_space), 20
 IN_JOINTS = arms, clusters, joint_space
 # Methods that may step aside.

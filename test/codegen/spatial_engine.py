@@ -76,6 +76,16 @@ def _array(outputs, source, size):
     return np.array([outputs.get(source, {}).get(place, 0.0) for place in range(size)])
 
 
+def inputs_with_forces(model, q, qd, tau, first=1):
+    """Return inputs with forces of effects on the bodies from a row of the tree on."""
+    inputs = _inputs(model, q, qd, tau)
+    outputs, _ = interpret(routines.MechanismTrace(model).routine(calls.OUTWARD), inputs)
+    body = _array(outputs, calls.WORK_BODY, len(model.tree) * space.WORK_COLUMNS).reshape(
+        -1, space.WORK_COLUMNS)
+    body[first:, list(space.FORCES.values())] += np.linspace(-0.7, 0.8, 6)
+    return {**inputs, calls.WORK_BODY: body.ravel()}
+
+
 def loop_equations(model, q, qd):
     """Return closure errors, biases and Jacobian of a model's routine, interpreted."""
     nv, nc = len(model.tree) - 1, len(model.column) - 1

@@ -14,7 +14,7 @@ from families import geared_arm, tower
 import numpy as np
 import pytest
 
-from .spatial_engine import _array, _inputs, interpret
+from .spatial_engine import _array, _inputs, inputs_with_forces, interpret
 from .test_arms import drawn
 from ..reference.compare import assert_agree
 from ..reference.numbers import Numbers
@@ -84,13 +84,8 @@ def test_clusters_give_the_motion_of_the_other_methods_and_of_dense_matrices(nam
 @pytest.mark.parametrize('name', MACHINES)
 def test_forces_of_effects_are_added(name):
     model, q, qd, tau = state_of(MACHINES[name]())
-    inputs = _inputs(model, q, qd, tau)
-    outputs, _ = interpret(routines.MechanismTrace(model).routine(calls.OUTWARD), inputs)
-    body = _array(outputs, calls.WORK_BODY, len(model.tree) * space.WORK_COLUMNS).reshape(
-        -1, space.WORK_COLUMNS)
     # Nothing acts on the bodies without mass of the free joint.
-    body[6:, list(space.FORCES.values())] += np.linspace(-0.7, 0.8, 6)
-    inputs[calls.WORK_BODY] = body.ravel()
+    inputs = inputs_with_forces(model, q, qd, tau, first=6)
     found, good = results(model, clusters, calls.ACCELERATION, inputs)
     expected, _ = results(model, None, calls.ACCELERATION, inputs, np.longdouble)
     assert good

@@ -9,7 +9,7 @@ from closedloop_dynamics.engine import types as t
 import numpy as np
 import pytest
 
-from .spatial_engine import _array, _inputs, interpret
+from .spatial_engine import _array, _inputs, inputs_with_forces, interpret
 from .test_arms import drawn
 from ..reference.compare import assert_agree
 
@@ -58,12 +58,7 @@ def test_motion_forces_and_pivots_are_those_of_articulated_bodies(name, rotors):
 @pytest.mark.parametrize('name', ['bricard', 'excavator_arm'])
 def test_forces_of_effects_are_added(name):
     model, q, qd, tau = drawn(name)
-    inputs = _inputs(model, q, qd, tau)
-    outputs, _ = interpret(routines.MechanismTrace(model).routine(calls.OUTWARD), inputs)
-    body = _array(outputs, calls.WORK_BODY, len(model.tree) * space.WORK_COLUMNS).reshape(
-        -1, space.WORK_COLUMNS)
-    body[1:, list(space.FORCES.values())] += np.linspace(-0.7, 0.8, 6)
-    inputs[calls.WORK_BODY] = body.ravel()
+    inputs = inputs_with_forces(model, q, qd, tau)
     found, expected = (results(model, by, calls.ACCELERATION, inputs)
                        for by in (joint_space, forward_dynamics))
     for source, values in expected.items():

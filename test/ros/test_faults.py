@@ -42,7 +42,7 @@ def test_flood_of_commands_delays_nothing_and_the_last_one_counts(run, listener)
     states = listener.listen('joint_states', JointState)
     publisher = listener.publisher('torque_command', Float64MultiArray)
     tried = 0
-    # The node may hear of the publisher behind its first command, and counts anew from then on.
+    # The node may discover the publisher after its first command, and restarts its counts then.
     for first in 3.0, 4.0:
         tried += listener.send(
             publisher, Float64MultiArray(data=[first, 2.0, 1.0]),
