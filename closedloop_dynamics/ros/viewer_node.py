@@ -122,7 +122,9 @@ class RemoteSimulator(Shown):
                                (SetParametersAtomically, 'set_parameters_atomically')))
         self._triggers = dict(zip(('reset', 'step'), triggers))
         # A publisher from the first command on: a page that only looks is no source of commands.
-        self._commands = None
+        # What is published before the simulator has found it is lost: commands are repeated until
+        # a state shows torques of theirs.
+        self._commands, self._commanded_at, self._followed = None, -math.inf, False
         self._wrenches = self._publish(WrenchStamped, topics[WRENCHES], 1) \
             if WRENCHES in topics else None
         self._states = self._publish(JointState, f'{prefix}/set_state', 10)
@@ -246,6 +248,7 @@ class RemoteSimulator(Shown):
         if self.feed is None:
             return
         self._handle_requests()
+        self._repeat_command()
         if self._fresh and self.feed.pages:
             self._fresh = False
             row, values = self._row()
@@ -388,6 +391,20 @@ class RemoteSimulator(Shown):
         if self._commands is None:
             self._commands = self._publish(JointState, self._command_topic, 1)
         self._commands.publish(JointState(name=list(self.drives), effort=efforts))
+        self._commanded_at = time.monotonic()
+
+    def _repeat_command(self):
+        """Publish torques again that no state has shown yet."""
+        if self._commands is None or self._followed \
+                or time.monotonic() - self._commanded_at < POLL_PERIOD:
+            return
+        efforts = {name: value for name, (mode, value, _) in self.drives.items()
+                   if mode == TORQUE and value}
+        if efforts:
+            self._followed = all(self._effort[self._names.index[name]] == effort
+                                 for name, effort in efforts.items())
+            if not self._followed:
+                self._command()
 
     # Posing: by a model here, whose state the simulator is given.
 

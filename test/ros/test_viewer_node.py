@@ -94,6 +94,24 @@ def test_a_running_simulator_is_shown_and_driven(spinning):
     assert simulator.exit_code is None and simulator.paused
 
 
+def test_a_command_is_repeated_until_a_state_shows_it(listener, spinning):
+    """Whatever finds the page's publisher after its first command is told the torque, too."""
+    spinning(SimulatorNode, scene='four_bar')
+    viewer = spinning(ViewerNode, nodes=['/closedloop_simulator'])
+    with Client(served(viewer)) as client:
+        client.until(lambda client: client.row is not None)
+        client.ask('pause')
+        client.until(lambda client: not client.controls['playing'])
+        client.ask('command', joint='crank_joint', value=0.5)
+        client.until(lambda client: client.controls['drives']['crank_joint']['value'] == 0.5)
+        commands = listener.listen('joint_command', JointState)
+        listener.wait(lambda: commands, 'command')
+        assert list(commands[-1].effort) == [0.5]
+        client.ask('play')
+        client.until(lambda client: plotted(
+            client, 'drive torque or force', 'crank_joint') == 0.5)
+
+
 def test_estimates_are_shown_beside_the_simulator(context, spinning):
     """The viewer waits for the estimator, and shows values, deviations and poses of it."""
     simulator = spinning(SimulatorNode, scene='three_rrr_vertical')
