@@ -57,7 +57,8 @@ class Function:
     def __init__(self, name, arguments, declared):
         self.arguments = [(kind, f'%a{n}') for n, kind in enumerate(arguments)]
         listed = ', '.join(' '.join(one) for one in self.arguments)
-        self._head = f'define {WORD} @{name}({listed}) {{'
+        # Vectors that wait on the stack are each in one line of the cache.
+        self._head = f'define {WORD} @{name}({listed}) alignstack(64) {{'
         self._first, self._lines, self._count, self._declared = [], [], 0, declared
 
     def text(self):
