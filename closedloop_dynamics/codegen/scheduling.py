@@ -15,9 +15,11 @@ from .expression_graph import (
     ADD, BOTH, CALL, CHOOSE, DIVIDE, GREATER_EQUAL, LESS, LOAD, MULTIPLY, NEGATE, SUBTRACT)
 
 # Cycles until a result is there; of functions it does not matter.
-_LATENCY = {ADD: 3, SUBTRACT: 3, MULTIPLY: 4, DIVIDE: 13, LESS: 3, GREATER_EQUAL: 3,
+_LATENCY = {ADD: 3, SUBTRACT: 3, MULTIPLY: 3, DIVIDE: 13, LESS: 3, GREATER_EQUAL: 3,
             CHOOSE: 1, BOTH: 1, NEGATE: 1}
 _OTHERS = 20
+# Until a number is in another lane.
+_CROSSING = 3
 # Operations that begin in a cycle.
 _RATE = 2.5
 # Values that may wait in registers, and how many operations are then compared for which of them
@@ -59,15 +61,29 @@ def by_urgency(operations, groups, known):
         before[group] = {one for one in before[group] if kinds[one] != LOAD}
         for one in before[group]:
             after[one].append(group)
-    height = {}
+    crossing, cycles, height = {}, {}, {}
+    for group in left:
+        for column in zip(*(operations[place][1:] for place in group)):
+            for one in {group_of[one] for one in column if isinstance(one, int)}:
+                if column != one and len(one) + len(group) > 2:
+                    crossing[one, group] = _CROSSING
+        # A product and its only sum take one cycle more than a sum.
+        fused = kinds[group] == MULTIPLY and len(after[group]) == 1 and kinds[
+            after[group][0]] in (ADD, SUBTRACT)
+        cycles[group] = 1 if fused else _LATENCY.get(kinds[group], _OTHERS)
     for group in reversed(left):
-        height[group] = _LATENCY.get(kinds[group], _OTHERS) + max(
-            map(height.get, after[group]), default=0)
-    return _list_schedule(left, before, after, height, kinds)
+        height[group] = cycles[group] + max(
+            (height[one] + crossing.get((group, one), 0) for one in after[group]), default=0)
+    return _list_schedule(left, before, after, height, cycles, crossing)
 
 
-def _list_schedule(left, before, after, height, kinds):
-    """Return the order of what is ``left``; ``height``: cycles from its begin to the end."""
+def _list_schedule(left, before, after, height, cycles, crossing):
+    """
+    Return the order of what is ``left``.
+
+    ``height``: cycles from its begin to the end; ``cycles``: of each; ``crossing``: cycles between
+    two whose lanes differ.
+    """
     users = {group: len(those) for group, those in after.items()}
     place = {group: n for n, group in enumerate(left)}
     ends, missing = {}, {group: sum(one in place for one in before[group]) for group in left}
@@ -94,12 +110,13 @@ def _list_schedule(left, before, after, height, kinds):
         group = left[chosen[1]]
         found.append(group)
         living += more(group)
-        ends[group] = now + _LATENCY.get(kinds[group], _OTHERS)
+        ends[group] = now + cycles[group]
         for one in before[group]:
             users[one] -= 1
         for one in after[group]:
             missing[one] -= 1
             if not missing[one]:
                 heapq.heappush(waiting, (
-                    max(ends.get(other, 0.0) for other in before[one]), place[one]))
+                    max(ends.get(other, 0.0) + crossing.get((other, one), 0)
+                        for other in before[one]), place[one]))
     return found
