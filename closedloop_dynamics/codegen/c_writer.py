@@ -10,7 +10,7 @@ from .expression_graph import (
     ADD, ARCTANGENT, BOTH, CHOOSE, COSINE, DIVIDE, EXPONENTIAL, GREATER_EQUAL, LESS, LOAD,
     LOGARITHM, MULTIPLY, needed_for, NEGATE, POWER, SINE, SQUARE_ROOT, SUBTRACT)
 from .function_table import LANES
-from .packing import packing_of
+from .packing import ARITHMETIC, packing_of
 
 _INFIX = {ADD: '+', SUBTRACT: '-', MULTIPLY: '*', DIVIDE: '/', LESS: '<', GREATER_EQUAL: '>=',
           BOTH: '&'}
@@ -164,7 +164,8 @@ class Statements:
         self._named, self._vectors, self._widths = set(), {}, {}
         waves = _waves(self._operations, use)
         self._packing = packing_of(
-            routine, [angle for wave in waves for angle in wave], (3,)) if self.PACKED else None
+            routine, [angle for wave in waves for angle in wave], (3,),
+            ARITHMETIC) if self.PACKED else None
         for number, angles in enumerate(waves):
             self._turn(number, angles, use)
         for members in ([place] for place in sorted(use)) if self._packing is None else (

@@ -64,13 +64,15 @@ class Writer:
     def write(self):
         """Write the function."""
         self.turn_first()
-        for place, in self.in_order([(place,) for place in sorted(self.routine.needed())]):
+        operations = self.routine.graph.operations
+        for place, in self.in_order(operations, [(one,) for one in sorted(self.routine.needed())],
+                                    self.values):
             self.compute(place)
         self.finish()
 
-    def in_order(self, groups):
+    def in_order(self, operations, groups, known):
         """Return groups of operations, each after its operands, in the order to be written."""
-        found = scheduling.by_urgency(self.routine.graph.operations, groups, self.values)
+        found = scheduling.by_urgency(operations, groups, known)
         self.ordered = found is not None
         return found if self.ordered else groups
 
@@ -107,9 +109,7 @@ class Writer:
 
     def finish(self):
         """Store the outputs, and return whether the traced branches were the right ones."""
-        guard = self.routine.graph.guard
-        if guard is not None:
-            self.conditions.append(self.number(guard.place))
+        self.add_conditions()
         good = integer(1, BIT)
         for condition in self.conditions:
             good = self.function.binary('and', good, condition)
@@ -124,6 +124,12 @@ class Writer:
             self.function.store(result, address)
         self.function.end(self.function.convert('zext', good, WORD))
 
+    def add_conditions(self):
+        """Add that of the guard."""
+        guard = self.routine.graph.guard
+        if guard is not None:
+            self.conditions.append(self.number(guard.place))
+
     def go_on_if(self, good):
         """Leave the rest to the other routine, where there is one, unless a condition holds."""
         if self.routine.otherwise is not None:
@@ -135,7 +141,9 @@ class Writer:
 
     def turn(self, angles):
         """Compute the sines and cosines of angles, at their places, at once, in vectors."""
-        self.keep(angles, *sincos.write(self.function, list(map(self.number, angles))))
+        (sines,), (cosines,) = sincos.write(self.function, [list(map(self.number, angles))])
+        self.keep(angles, *([self.function.take(one, n) for n in range(len(angles))]
+                            for one in (sines, cosines)))
 
     def turn_later(self, angle):
         """

@@ -9,6 +9,7 @@ list of additions and multiplications that this one mechanism needs: no loop, no
 added.
 """
 
+from contextlib import contextmanager
 import math
 import operator
 
@@ -36,11 +37,13 @@ class ExpressionGraph:
 
     ``operations`` are (operation, operands...); an operand is the place of an earlier operation or
     a float. ``guard``, a Symbol or None: what must hold for the results to be right: the branches
-    that were taken.
+    that were taken. ``branches``: from which place on which branch is
+    recorded, its number, its name, and the names of the values that it takes, by place.
     """
 
     def __init__(self, most=math.inf):
         self.operations, self.guard, self._known, self._most = [], None, {}, most
+        self.branches = []
 
     def put(self, *operation):
         """Return the symbol of an operation, an old one where there is the same already."""
@@ -52,6 +55,25 @@ class ExpressionGraph:
                 raise TooManyOperations
             self.operations.append(operation)
         return Symbol(self, place)
+
+
+@contextmanager
+def branch(name, values, number=None):
+    """
+    Say that what is recorded meanwhile is in one of several branches that do the same.
+
+    Equal names and orders of values mean the same in each of them. The context is the number of
+    the branch, a new one by default.
+    """
+    graph, labels = graph_of(values), {}
+    for place, value in enumerate(values):
+        if isinstance(value, Symbol):
+            one = value._negated() if value._operation() == NEGATE else value
+            labels[one.place] = name, place
+    number = len(graph.branches) if number is None else number
+    graph.branches.append((len(graph.operations), number, name, labels))
+    yield number
+    graph.branches.append((len(graph.operations), None, None, {}))
 
 
 def graph_of(values):
@@ -129,7 +151,8 @@ class Symbol:
         if _is(other, 0.0):
             return self
         if isinstance(other, Symbol) and other._operation() == NEGATE:
-            return self - other._negated()
+            both = self._operation() == NEGATE
+            return -(self._negated() + other._negated()) if both else self - other._negated()
         return self._put(ADD, self, other)
 
     def __radd__(self, other):

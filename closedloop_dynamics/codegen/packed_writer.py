@@ -3,8 +3,10 @@
 
 """From unrolled arithmetic to LLVM vectors, where branches of a mechanism do the same."""
 
+from . import sincos
 from .emit import Writer
-from .llvm_text import DOUBLE, numbers, vector_of
+from .expression_graph import COSINE, SINE
+from .llvm_text import integer, numbers
 from .packing import packing_of
 
 
@@ -19,12 +21,25 @@ class PackedWriter(Writer):
             return
         self.vectors, self.gathered = {}, {}
         self.turn_first()
-        for members in self.in_order(list(self.packing.ordered())):
-            if len(members) == 1:
+        operations, turned = self.packing.operations, self.packing.turned
+        for members in self.in_order(
+                operations, list(self.packing.ordered()), {*self.values, *turned}):
+            if len(members) > 1:
+                self._compute(operations, members)
+            elif turned.isdisjoint(members):
                 self.compute(*members)
-            else:
-                self._compute(self.packing.operations, members)
         self.finish()
+
+    def turn(self, angles):
+        """Compute sines and cosines in the lanes in which most of them are taken."""
+        if self.packing is None:
+            super().turn(angles)
+            return
+        groups = self.packing.turns(angles)
+        for kind, vectors in zip((SINE, COSINE), sincos.write(
+                self.function, [list(map(self.number, group)) for group in groups])):
+            self.vectors.update(
+                ((kind, n), vector) for n, vector in enumerate(vectors))
 
     def turn_back(self, place):
         """Compute an arctangent; what others take may not be computed yet."""
@@ -37,6 +52,23 @@ class PackedWriter(Writer):
             number, lane = self.packing.at[operand]
             self.values[operand] = self.function.take(self.vectors[number], lane)
         return super().number(operand)
+
+    def add_conditions(self):
+        """Add those of the guard, all lanes of a vector at once."""
+        if self.packing is None:
+            super().add_conditions()
+            return
+        function = self.function
+        for number, places in self.packing.conditions(self.routine.graph.guard).items():
+            if number is None:
+                self.conditions += map(self.number, places)
+                continue
+            vector, mask = self.vectors[number], sum(
+                1 << self.packing.at[place][1] for place in set(places))
+            bits = f'i{vector[0][1:].split()[0]}'
+            self.conditions.append(function.compare('icmp eq', function.binary(
+                'and', function.convert('bitcast', vector, bits), integer(mask, bits)),
+                integer(mask, bits)))
 
     def _compute(self, operations, members):
         """Compute a bundle."""
@@ -53,12 +85,12 @@ class PackedWriter(Writer):
         if not any(isinstance(one, int) for one in operands):
             return numbers([float(one) for one in padded])
         if number is None:
+            values = [self.number(one) for one in operands]
             vector = self.function.gather(
-                [self.number(one) for one in operands]
-                + (width - len(operands)) * [(DOUBLE, 'undef')])
+                values + (width - len(operands)) * [(values[0][0], 'undef')])
         else:
             vector = self.vectors[number]
-            if vector[0] != vector_of(DOUBLE, width) or (
+            if vector[0].split()[0] != f'<{width}' or (
                     lanes[:len(operands)] != list(range(len(operands)))):
                 vector = self.function.shuffle(
                     vector, lanes[:len(operands)] + (width - len(operands)) * ['undef'])

@@ -9,14 +9,18 @@ of a vector, one leg in each, which makes the code half as long. What is rounded
 as it is without: a product and its only sum are one instruction in both, or in neither.
 """
 
-from collections import defaultdict
+from collections import Counter, defaultdict
+import functools
 import heapq
+import operator
 
 from .expression_graph import (
-    ADD, DIVIDE, LOAD, MULTIPLY, needed_for, NEGATE, SUBTRACT)
+    ADD, BOTH, CHOOSE, COSINE, DIVIDE, GREATER_EQUAL, LESS, LOAD, MULTIPLY, needed_for, NEGATE,
+    SINE, SUBTRACT)
 from .function_table import BODY, CUT_POINT
 
-_PACKED = (ADD, SUBTRACT, MULTIPLY, DIVIDE, NEGATE)
+# Operations in lanes: those that all writers have, and those of conditions.
+ARITHMETIC, CONDITIONS = (ADD, SUBTRACT, MULTIPLY, DIVIDE, NEGATE), (LESS, GREATER_EQUAL, CHOOSE)
 # Lanes of a vector at most; how many operations are at least put into one, of which the better is
 # chosen; and what must be saved, as a share of all operations.
 WIDEST, FEWEST, WORTH = 8, (2, 3), 0.02
@@ -43,19 +47,40 @@ def by_number(seed):
     return len(seed) if len(seed) <= WIDEST else 0, max(seed)
 
 
-def alike(operations, use, apart, fewest):
+def alike(operations, use, apart, fewest, branches, packed):
     """
     Find operations that are the same on other inputs.
 
     Of a graph, those that are needed in their order (``use``), but for places that are to stay
     alone (``apart``), ``fewest`` at least. Returns the same number for operations that are the
     same, at whatever inputs, by place, and lists of places of operations that are the same, each
-    of other inputs. Factors and terms whose order does not matter are put in the same one.
+    of other inputs. Factors and terms whose order does not matter are put in the same one. In
+    ``branches``, as of a graph, what is done with values of one name is the same, however these
+    are found.
     """
     inputs, kinds, numbers = support(operations, use), {}, {}
+    branches, branch, label, level = list(reversed(branches)), None, {}, 0
+    # Branches on the way to each operation, in bits; of those of each name, how many are on the
+    # way to one, which no other of as many can wait for.
+    behind, before, levels = {}, 0, defaultdict(dict)
+
+    def seen(one):
+        """Return what an operand is taken for."""
+        return numbers.setdefault(
+            (level, label[one]), len(numbers)) if one in label else kinds[one]
+
     found = defaultdict(lambda: defaultdict(list))
     for place in use:
         kind, *operands = operations[place]
+        while branches and branches[-1][0] <= place:
+            _, branch, name, label = branches.pop()
+            before = functools.reduce(operator.or_, (behind.get(one, 0) for one in label), 0)
+            level = 1 + max((
+                number for bit, number in levels[name].items() if before & bit), default=0)
+            if branch is not None:
+                bit = 1 << len(branches)
+                levels[name][bit] = level
+                before |= bit
         if kind == LOAD:
             # A joint of the tree has its place among the bodies' constants.
             key = kind, BODY if operands[0] == CUT_POINT else operands[0]
@@ -64,13 +89,15 @@ def alike(operations, use, apart, fewest):
             if kind == MULTIPLY or kind == ADD and any(
                     isinstance(o, float) or operations[o][0] not in (MULTIPLY, NEGATE)
                     for o in operands):
-                operands.sort(key=lambda o: kinds[o] if isinstance(o, int) else -1)
+                operands.sort(key=lambda o: seen(o) if isinstance(o, int) else -1)
                 operations[place] = kind, *operands
-            key = (kind, *(kinds[o] if isinstance(o, int) else (o,) for o in operands))
+            key = (kind, *(seen(o) if isinstance(o, int) else (o,) for o in operands))
         kinds[place] = numbers.setdefault(key, len(numbers))
-        if kind in _PACKED and place not in apart:
-            bits = inputs[place]
-            found[kinds[place]][bits].append(place)
+        behind[place] = functools.reduce(operator.or_, (
+            behind[one] for one in operands if kind != LOAD and isinstance(one, int)),
+            0 if branch is None else before)
+        if kind in packed and place not in apart:
+            found[kinds[place]][inputs[place] if branch is None else branch].append(place)
     groups = []
     for members in found.values():
         # A branch that has operations of its own, such as the one that carries a platform in the
@@ -92,7 +119,8 @@ class Packing:
     of the bundle, and the lane, of an operation.
     """
 
-    def __init__(self, routine, angles, fewest):
+    def __init__(self, routine, angles, fewest, packed):
+        self.packed = packed
         self.operations = list(routine.graph.operations)
         self.use = sorted(routine.needed())
         stored = {value.place for _, _, value in routine.outputs if hasattr(value, 'place')}
@@ -100,13 +128,22 @@ class Packing:
             stored.add(routine.graph.guard.place)
         self._users = defaultdict(list)
         for place in self.use:
-            if self.operations[place][0] in _PACKED:
+            if self.operations[place][0] in packed:
                 for operand in dict.fromkeys(self.operations[place][1:]):
                     if isinstance(operand, int):
                         self._users[operand].append(place)
         self._fused = self._fusions(stored)
-        apart = needed_for(self.operations, angles)
-        kinds, groups = alike(self.operations, self.use, apart, min(fewest))
+        apart, self.turned = needed_for(self.operations, angles), set()
+        for branches in routine.graph.branches, ():
+            self._choose(branches, apart, stored, fewest)
+            # Bundles may wait for one another where branches are in different orders.
+            if sum(map(len, self.ordered())) == sum(map(self._is_written, self.use)):
+                break
+
+    def _choose(self, branches, apart, stored, fewest):
+        """Choose the bundles that save most."""
+        kinds, groups = alike(
+            self.operations, self.use, apart, min(fewest), branches, self.packed)
         best = {}, {}, WORTH * len(self.use)
         for least in fewest:
             for first in by_number, max:
@@ -133,7 +170,7 @@ class Packing:
         operations, found = self.operations, []
 
         def free(one):
-            return isinstance(one, int) and one not in taken and operations[one][0] in _PACKED
+            return isinstance(one, int) and one not in taken and operations[one][0] in self.packed
 
         for group in groups:
             left = [place for place in group if place not in taken]
@@ -200,10 +237,45 @@ class Packing:
                 into += len(set(operands))
                 out.update(operands)
         for place in self.use:
-            if place not in self.at and operations[place][0] != LOAD:
+            if place not in self.at and operations[place][0] not in (LOAD, BOTH):
                 out.update(operations[place][1:])
         return into + sum(self.at[place][1] > 0 for place in out.union(stored)
                           if isinstance(place, int) and place in self.at)
+
+    def turns(self, angles):
+        """
+        Return groups of angles, so that their sines and cosines are in lanes that bundles take.
+
+        ``angles``: places of all. The vectors of a group's sines and cosines have the numbers
+        (SINE, n) and (COSINE, n), n of the group; ``turned`` are the places of them all.
+        """
+        operations, asked, groups = self.operations, Counter(), []
+        for members in self.bundles.values():
+            for operands in zip(*(operations[place][1:] for place in members)):
+                if all(isinstance(one, int) and operations[one][0] in (SINE, COSINE)
+                       for one in operands):
+                    asked[tuple(operations[one][1] for one in operands)] += 1
+        left = dict.fromkeys(angles)
+        for group in sorted(asked, key=lambda one: (-len(one), -asked[one])):
+            if len(set(group)) == len(group) and all(one in left for one in group):
+                groups.append(list(group))
+                for one in group:
+                    del left[one]
+        for one in left:
+            group = min(groups, key=len, default=[*range(WIDEST)])
+            if len(group) == WIDEST:
+                groups.append([one])
+            else:
+                group.append(one)
+        at = {angle: (n, lane) for n, group in enumerate(groups)
+              for lane, angle in enumerate(group)}
+        self.turned = {place for place in self.use if operations[place][0] in (SINE, COSINE)
+                       and operations[place][1] in at}
+        for place in self.turned:
+            kind, angle = operations[place]
+            n, lane = at[angle]
+            self.at[place] = (kind, n), lane
+        return groups
 
     def number(self, place):
         """Return the number of an operation's bundle, None where it is alone."""
@@ -225,11 +297,34 @@ class Packing:
         """Return whether operations are all those of a bundle, each in its lane."""
         return self.bundles.get(self.number(places[0])) == tuple(places)
 
+    def conditions(self, guard):
+        """
+        Return what a guard of a graph asks for: places by the number of their bundle.
+
+        Those of operations that are alone have the number None.
+        """
+        found, rest = defaultdict(list), [] if guard is None else [guard.place]
+        while rest:
+            place = rest.pop()
+            kind, *operands = self.operations[place]
+            if kind == BOTH:
+                rest += operands
+            else:
+                found[self.number(place)].append(place)
+        return found
+
+    def _is_written(self, place):
+        return self.operations[place][0] != BOTH or LESS not in self.packed
+
     def ordered(self):
-        """Yield bundles and single operations, each after its operands."""
+        """
+        Yield bundles and single operations, each after its operands.
+
+        But for those that join conditions where these may be in lanes: see ``conditions``.
+        """
         operations, nodes = self.operations, {}
-        for place in self.use:
-            number = self.number(place)
+        for place in filter(self._is_written, self.use):
+            number = None if place in self.turned else self.number(place)
             nodes[place] = (place,) if number is None else self.bundles[number]
         waiting, following, ready = {}, defaultdict(list), []
         for members in set(nodes.values()):
@@ -265,11 +360,12 @@ class Packing:
             lane for _, lane in at]
 
 
-def packing_of(routine, angles, fewest=FEWEST):
+def packing_of(routine, angles, fewest=FEWEST, packed=ARITHMETIC + CONDITIONS):
     """
     Return the ``Packing`` of a routine's operations, None where that is not worth it.
 
-    ``angles``: places of what sines and cosines are taken of; ``fewest``: in place of FEWEST.
+    ``angles``: places of what sines and cosines are taken of; ``fewest``: in place of FEWEST;
+    ``packed``: kinds of operations that may be in lanes.
     """
-    found = Packing(routine, angles, fewest)
+    found = Packing(routine, angles, fewest, packed)
     return found if found.bundles else None

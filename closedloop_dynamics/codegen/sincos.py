@@ -10,6 +10,7 @@ by multiples of pi/2 and the minimax polynomials of FreeBSD's msun library (k_si
 good to one unit in the last place.
 """
 
+import functools
 from functools import partial
 
 from .llvm_text import DOUBLE, integer, numbers, repeated, vector_of, WORD
@@ -26,29 +27,30 @@ ROUNDER = 6755399441055744.0
 LARGEST = 1.6e6
 
 
-def write(function, angles):
+def write(function, groups):
     """
-    Write the code for the sines and cosines of some angles [rad], and return both.
+    Write the code for the sines and cosines of groups of angles [rad], a vector of each group.
 
-    The function is left in the block where both are known.
+    Returns the vectors of sines and those of cosines. The function is left in the block where
+    both are known.
     """
-    count = len(angles)
-    packed, bits = function.gather(angles), f'i{count}'
+    packed = [function.gather(angles) for angles in groups]
     quick, slow, known = function.blocks('quick', 'slow', 'known')
-    function.branch_if(
+    function.branch_if(functools.reduce(partial(function.binary, 'and'), (
         function.compare('icmp eq', function.convert(
-            'bitcast', within(function, packed, count), bits), integer(-1, bits)),
-        quick, slow)
+            'bitcast', within(function, one, len(angles)), f'i{len(angles)}'),
+            integer(-1, f'i{len(angles)}'))
+        for one, angles in zip(packed, groups))), quick, slow)
     function.begin(quick)
-    fast = polynomials(function, packed, count)
+    fast = [polynomials(function, one, len(angles)) for one, angles in zip(packed, groups)]
     function.branch(known)
     function.begin(slow)
-    exact = [function.gather([function.call(f'llvm.{name}.f64', [angle]) for angle in angles])
-             for name in ('sin', 'cos')]
+    exact = [[function.gather([function.call(f'llvm.{name}.f64', [angle]) for angle in angles])
+              for name in ('sin', 'cos')] for angles in groups]
     function.branch(known)
     function.begin(known)
-    return [[function.take(result, n) for n in range(count)] for result in [
-        function.joined({quick: one, slow: other}) for one, other in zip(fast, exact)]]
+    return zip(*([function.joined({quick: one, slow: other}) for one, other in zip(*both)]
+                 for both in zip(fast, exact)))
 
 
 def within(function, angle, count):
