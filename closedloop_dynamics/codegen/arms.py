@@ -23,12 +23,12 @@ import functools
 from itertools import zip_longest
 
 from . import elimination, space
-from .expression_graph import chosen, larger
+from .expression_graph import branch, chosen, larger
 from .forward_dynamics import to_user_order
 from .spatial import at_parent, shifted, Z
 from .vectors import (
-    add, cross, dot, is_number, is_zero, negate, scale, subtract, symmetric, times, transpose,
-    ZERO)
+    add, cross, dot, IDENTITY, is_number, is_zero, negate, product, scale, subtract, symmetric,
+    times, transpose, ZERO)
 from ..engine.types import (
     BODY_A, BODY_B, DOF, EVALUATIONS, NO_RESPONSES, PARENT, ROW, ROWS)
 
@@ -222,17 +222,18 @@ class Equations:
 
     def __init__(self):
         self.matrix, self._right, self._squares, self._undo = {}, {}, {}, []
+        self._turned, self._stage = {}, None
 
     def add(self, a, b, value):
         """Add to the entries of two keys."""
         if not is_number(value, 0.0):
             terms = self.matrix.setdefault(a, {}).setdefault(b, [])
-            terms.append(value)
+            terms.append((self._stage, value))
             self.matrix.setdefault(b, {})[a] = terms
 
     def add_right(self, key, value):
         """Add to the right side of a key."""
-        self._right.setdefault(key, []).append(value)
+        self._right.setdefault(key, []).append((self._stage, value))
 
     def entry(self, a, b):
         """Return the entry of two keys."""
@@ -251,10 +252,13 @@ class Equations:
                 if other not in keys:
                     outer.setdefault(other, len(keys) * [0.0])[n] = _balanced(terms)
                     del self.matrix[other][key]
+        # In the same order for equal arms, wherever in the tree they are: joints come last.
+        outer = {key: outer[key] for key in sorted(
+            outer, key=lambda key: 2 if isinstance(key, int) else isinstance(key[0], str))}
         return inner, outer, [_balanced(self._right.pop(key, [])) for key in keys]
 
     def eliminate(self, keys):
-        """Eliminate up to three keys; return their determinant."""
+        """Eliminate up to three keys; return their leading minors, the determinant last."""
         inner, outer, right = self._take(keys)
         inverse, volume = inverted(inner)
         known, others = times(inverse, right), list(outer)
@@ -269,13 +273,28 @@ class Equations:
                 x[key] = known[n] - total(left[one][n] * x[one] for one in others)
 
         self._undo.append(undo)
-        return volume
+        minors = [inner[0][0]]
+        if len(keys) == _MOST:
+            minors.append(inner[0][0] * inner[1][1] - inner[0][1] * inner[1][0])
+        return [*minors[:len(keys) - 1], volume]
 
     def _square(self, key, rows):
         """Return the square of the lever that a key has in equations."""
         values = [self.entry(row, key) for row in rows]
         return total(self._squares.get((row, key), value * value)
                      for row, value in zip(rows, values))
+
+    def turn(self, rows, axes, columns):
+        """
+        Tell what the columns of joints are in axes in which they have zeros.
+
+        ``rows``: three equations that hold a point along the world's axes; ``axes``: in these;
+        ``columns``: along them, by joint.
+        """
+        self._turned[tuple(rows)] = axes, columns
+        for joint, column in columns.items():
+            self._squares.update(
+                ((row, joint), value * value) for row, value in zip(rows, column))
 
     def require_levers(self, joints, rows, turning):
         """Require that joints which turn have levers that are not short beside others'."""
@@ -295,46 +314,55 @@ class Equations:
         across these.
         """
         fewer, spare = len(joints) < len(rows), len(joints) > len(rows)
-        columns = [[self.entry(row, joint) for row in rows] for joint in joints]
         squares = [self._square(joint, rows) for joint in joints]
+        axes, own = self._turned.get(tuple(rows), (None, {}))
+        columns = [own[joint] if axes else [self.entry(row, joint) for row in rows]
+                   for joint in joints]
         mass, coupled, force = self._take(joints)
         coupled = {key: column for key, column in coupled.items() if key not in rows}
         _, levers, given = self._take(rows)
-        inverse, volume = inverted(transpose(columns) if spare else columns)
-        across, inverse = inverse[-1], inverse[:min(len(joints), len(rows))]
-        if spare:
-            inverse = transpose(inverse)
-        if len(levers) > _MOST and not coupled and len(joints) == len(rows):
-            # Inertia and force at the tip, which other motions act on by few numbers.
-            back = transpose(inverse)
-            pulled = [times(mass, column) for column in back]
-            self._put_in(
-                levers, given, symmetric(lambda m, n: dot(back[m], pulled[n]), len(rows)), {},
-                times(back, force))
-        else:
-            moved = {key: times(inverse, column) for key, column in levers.items()}
+        known = [*sum(columns, []), *sum(mass, []), *sum(coupled.values(), []),
+                 *sum(levers.values(), []), *force, *given, *sum(axes or (), ()), *squares]
+        self._stage = name = len(joints), len(rows), axes is not None
+        with branch(name, known) as number:
+            inverse, volume = inverted(transpose(columns) if spare else columns)
+            square = dot(inverse[-1], inverse[-1])
+            if axes:
+                inverse = product(inverse, transpose(axes))
+            across, inverse = inverse[-1], inverse[:min(len(joints), len(rows))]
+            if spare:
+                inverse = transpose(inverse)
+            # At the tip motions that act there by few numbers do so on its apparent inertia.
+            few = {} if spare or _symbols(sum(levers.values(), [])) >= len(joints) * len(
+                levers) else {key: one for key, one in levers.items() if key not in coupled}
+            moved = {key: times(inverse, column)
+                     for key, column in levers.items() if key not in few}
             if spare:
                 moved[_free(rows)] = negate(across)
-            self._put_in(moved, times(inverse, given), mass, coupled, force)
-        if fewer:
-            left, square = rows[-1], dot(across, across)
-            for key, column in levers.items():
-                self.add(left, key, dot(across, column))
-                self._squares[left, key] = square * dot(column, column)
-            self.add_right(left, dot(across, given))
+            rest, pushed = self._put_in(moved, times(inverse, given), mass, coupled, force)
+            if few:
+                self._put_in_at_tip(few, transpose(inverse), mass, rest, pushed)
+            if fewer:
+                left = rows[-1]
+                for key, column in levers.items():
+                    self.add(left, key, dot(across, column))
+                    self._squares[left, key] = square * dot(column, column)
+                self.add_right(left, dot(across, given))
 
         def undo(x):
-            missing = [value - total(column[n] * x[key] for key, column in levers.items())
-                       for n, value in enumerate(given)]
-            found = times(inverse, missing)
-            if spare:
-                found = add(found, scale(across, x[_free(rows)]))
-            loads = [value - dot(row, found) - total(
-                column[n] * x[key] for key, column in coupled.items())
-                for n, (row, value) in enumerate(zip(mass, force))]
-            multipliers = times(transpose(inverse), loads)
-            if fewer:
-                multipliers = add(multipliers, scale(across, x[rows[-1]]))
+            keys = [*levers, *coupled, *(rows[-1:] if fewer else [])]
+            with branch(('back', *name), [*known, *(x[key] for key in keys)], number):
+                missing = [value - total(column[n] * x[key] for key, column in levers.items())
+                           for n, value in enumerate(given)]
+                found = times(inverse, missing)
+                if spare:
+                    found = add(found, scale(across, x[_free(rows)]))
+                loads = [value - dot(row, found) - total(
+                    column[n] * x[key] for key, column in coupled.items())
+                    for n, (row, value) in enumerate(zip(mass, force))]
+                multipliers = times(transpose(inverse), loads)
+                if fewer:
+                    multipliers = add(multipliers, scale(across, x[rows[-1]]))
             x.update(zip(joints, found))
             x.update(zip(rows, multipliers))
 
@@ -342,6 +370,9 @@ class Equations:
         if spare:
             one, two, three = squares
             return volume / (one * two + (one + two) * three)
+        if axes and all(sum(not is_number(value, 0.0) for value in one) == 1 for one in columns):
+            # Each along an axis of its own.
+            return 1.0
         return (volume if fewer else volume * volume) / _product(squares)
 
     def _put_in(self, moved, start, mass, coupled, force):
@@ -349,6 +380,7 @@ class Equations:
         Put ``start`` less the sum of ``moved`` times unknowns in the place of taken ones.
 
         ``mass``, ``coupled``, ``force``: entries among the taken, beside them, and right sides.
+        Returns the right sides that are left, and the loads of a unit of each unknown.
         """
         none, reached = len(start) * (0.0,), list(moved)
         pushed = {key: subtract(times(mass, column), coupled.get(key, none))
@@ -362,8 +394,26 @@ class Equations:
         for one, column in coupled.items():
             self.add_right(one, 0.0 - dot(column, start))
             if one not in moved:
+                pushed[one] = negate(column)
                 for other in reached:
-                    self.add(one, other, 0.0 - dot(column, moved[other]))
+                    self.add(one, other, dot(pushed[one], moved[other]))
+        return rest, pushed
+
+    def _put_in_at_tip(self, levers, back, mass, rest, pushed):
+        """
+        Put in ``levers`` times more unknowns, of the taken ones seen at the tip by ``back``.
+
+        ``rest``, ``pushed``: what ``_put_in`` returned, of start and other unknowns.
+        """
+        pulled = [times(mass, column) for column in back]
+        inertia = symmetric(lambda m, n: dot(back[m], pulled[n]), len(back))
+        rest, pushed = times(back, rest), {key: times(back, one) for key, one in pushed.items()}
+        # What has fewer numbers is multiplied last.
+        for one in sorted(levers, key=lambda key: -_symbols(levers[key])):
+            pushed[one] = times(inertia, levers[one])
+            self.add_right(one, dot(levers[one], rest))
+            for other, column in pushed.items():
+                self.add(one, other, dot(levers[one], column))
 
     def solution(self, x):
         """Add all accelerations and negative multipliers by key to those that are known."""
@@ -385,7 +435,7 @@ def inverted(columns):
     Where there is a row more than columns the last row is one across these, and their squared
     volume takes the place of the determinant.
     """
-    across = ()
+    across, size = (), None
     if len(columns) == len(columns[0]) == 1:
         (volume,), = columns
         rows = (1.0,),
@@ -401,11 +451,23 @@ def inverted(columns):
         volume, rows, across = a * a + b * b, ((a, b),), ((0.0 - b, a),)
     else:
         a, b = columns
-        across = cross(a, b),
-        volume, rows = dot(*across, *across), (cross(b, *across), cross(*across, a))
+        across = cross(a, b)
+        volume = size = dot(across, across)
+        beside = [n for n, value in enumerate(across) if not is_number(value, 0.0)]
+        if len(beside) == 1:
+            # Both lie in a plane of two axes.
+            (n,) = beside
+            size, across = across[n], IDENTITY[n]
+        rows, across = (cross(b, across), cross(across, a)), (across,)
     if is_number(volume, 0.0):
         raise AlwaysSingularError
-    return (*(scale(row, 1.0 / volume) for row in rows), *across), volume
+    return (*(scale(row, 1.0 / (volume if size is None else size)) for row in rows),
+            *across), volume
+
+
+def _symbols(values):
+    """Count the values that are no numbers."""
+    return sum(not isinstance(value, float) for value in values)
 
 
 def total(values):
@@ -422,7 +484,9 @@ def _assemble(recursion, model, work, tau, baumgarte, plan):
     for body, components in plan.floating.items():
         for n in components:
             row, unit = (EQUATION, body, n), tuple(float(m == n) for m in range(6))
-            found.add(row, (body, n), 1.0)
+            about = recursion.about_center(body, unit)
+            for m in components:
+                found.add(row, (body, m), about[m])
             own, wrench = recursion.transmit_wrench(body, negate(unit))
             found.add(row, body, own)
             found.add_right(row, recursion.started.get(body, 2 * ZERO)[n])
@@ -436,9 +500,47 @@ def _assemble(recursion, model, work, tau, baumgarte, plan):
                 found.add(row, i, value)
             _spread(recursion, plan, arrived, row, found)
             place = row[1]
-            found.add_right(row, 0.0 - work.bias[place] - baumgarte * (
-                2.0 * work.closure_rate[place] + baumgarte * work.closure[place]))
+            found.add_right(
+                row, 0.0 - work.bias[place] - 2.0 * baumgarte * work.closure_rate[place]
+                - baumgarte * baumgarte * work.closure[place])
+    for joints, rows in plan.steps if space.is_spatial(model) else ():
+        _turn(recursion, model, plan, joints, rows, found)
     return found
+
+
+def _turn(recursion, model, plan, joints, rows, found):
+    """Give the columns of an arm whose tip is held along the axes of its last body."""
+    body, point, sign = _tip(recursion, model, plan, joints, rows)
+    if body is None:
+        return
+    views, columns = recursion.views, {}
+    lever = times(views[body].frame, point)
+    wrenches = [scale(cross(lever, axis) + axis, sign) for axis in IDENTITY]
+    for i in plan.carriers(body):
+        if i in joints:
+            columns[i] = [dot(views[i].motion.axis, wrench) for wrench in wrenches]
+        wrenches = [views[i].at_parent(wrench) for wrench in wrenches]
+    if columns.keys() == set(joints) and _symbols(sum(columns.values(), [])) <= len(joints):
+        found.turn(rows, views[body].axes, columns)
+
+
+def _tip(recursion, model, plan, joints, rows):
+    """
+    Return the last body of an arm and its point that equations hold along all axes.
+
+    With the sign of a force on it in the equations; the body is None where there is none.
+    """
+    for one, cut in zip(recursion.cuts, model.cut):
+        if len(rows) == len(one.along) == _MOST and rows == _rows(cut) and not one.carried:
+            first, other = cut[[BODY_A, BODY_B]].tolist()
+            return (first, one.point_a, 1.0) if joints[0] in plan.carriers(first) else (
+                other, one.point_b, -1.0)
+    body = place = rows[0][1]
+    while place in plan.floating and recursion.bodies[body].ball:
+        body, point = plan.parent[body], recursion.bodies[body].place
+    if body == place or rows != [(EQUATION, place, n) for n in _IN_SPACE[_MOST:]]:
+        return None, None, None
+    return body, point, -1.0
 
 
 def _add_motion_in_views(recursion, model, tau, plan, found):
@@ -481,6 +583,7 @@ def _spread(recursion, plan, arrived, key, found):
         i = max(arrived)
         wrench = arrived.pop(i)
         if i in plan.floating:
+            wrench = recursion.about_center(i, wrench)
             for n in plan.floating[i]:
                 found.add(key, (i, n), wrench[n])
         elif i > 0:
@@ -537,11 +640,14 @@ def eliminate(plan, found, turning):
     scales = {key: found.entry(key, key) for keys in plan.unknowns for key in keys}
     for keys in plan.unknowns:
         # False for a NaN, too.
-        bool(found.eliminate(keys) > ROUNDING * _product([scales[key] for key in keys]))
+        bool(found.eliminate(keys)[-1] > ROUNDING * _product([scales[key] for key in keys]))
     bool(smallest >= SMALL_SINE)
-    for row in plan.rest:
-        diagonal = found.entry(row, row)
-        smallest = least(smallest, found.eliminate([row]) / diagonal)
+    diagonals = [found.entry(row, row) for row in plan.rest]
+    for n in range(0, len(plan.rest), _MOST):
+        before = 1.0
+        for minor, diagonal in zip(found.eliminate(plan.rest[n:n + _MOST]), diagonals[n:]):
+            smallest = least(smallest, minor / (before * diagonal))
+            before = minor
     bool(smallest >= elimination.SMALL_PIVOT)
     bool(spare >= elimination.POOR_PIVOT)
     return least(smallest, spare)
@@ -551,14 +657,31 @@ def _balanced(terms):
     """
     Return a sum, and keep it in the place of its terms, in pairs: it waits for fewer of them.
 
-    What was there first comes last, so that equal arms are in equal pairs.
+    ``terms``: pairs of a stage and a value: those of equal arms are added by twos as often as
+    their number allows, and to those of others of the same number.
     """
-    terms[:] = terms[1:] + terms[:1]
-    while len(terms) > 1:
-        half = (len(terms) + 1) // 2
-        terms[:] = [total(pair) for pair in zip_longest(
-            terms[:half], terms[half:], fillvalue=0.0)]
-    return terms[0] if terms else 0.0
+    stages, sums = {}, {}
+    for stage, value in terms:
+        stages.setdefault(stage, []).append(value)
+    for values in reversed(stages.values()):
+        while len(values) % 2 == 0:
+            values = _in_pairs(values)
+        sums[len(values)] = add(sums.get(len(values), len(values) * (0.0,)), values)
+    values = []
+    for some in sums.values():
+        while len(some) > 1:
+            some = _in_pairs(some)
+        values += some
+    while len(values) > 1:
+        values = _in_pairs(values)
+    terms[:] = [(None, value) for value in values]
+    return values[0] if values else 0.0
+
+
+def _in_pairs(values):
+    half = (len(values) + 1) // 2
+    return [one + other for one, other in zip_longest(
+        values[:half], values[half:], fillvalue=0.0)]
 
 
 def _product(values):

@@ -17,8 +17,8 @@ from typing import NamedTuple
 from . import elimination, forward_dynamics
 from .spatial import at_parent, BodyKinematics, Recursion, rotation, turned_frame, X, Z
 from .vectors import (
-    add, cross, dot, IDENTITY, in_blocks, is_zero, product, scale, skew, symmetric, times,
-    transpose, ZERO)
+    add, cross, dot, IDENTITY, in_blocks, is_number, is_zero, product, scale, skew, symmetric,
+    times, transpose, ZERO)
 from ..engine.types import (
     BODY_A, BODY_B, CARRIED, COORDINATE, DINV, DOF, EVALUATIONS, PARENT, PATH_A, PATH_END, RHS,
     ROW, ROWS)
@@ -110,10 +110,12 @@ class JointSpace(Recursion):
 
     ``free``: rows of floating bodies, whose whole accelerations are unknown where forces are
     ``apart``: they do not wait for those that carry them. ``started``: what those would give them
-    for qdd = 0, by row, after ``outward`` (tuple of 6).
+    for qdd = 0, by row, after ``outward`` (tuple of 6). ``centers``: from the centres of mass of
+    floating bodies to their origins, by row, after ``equations_of_motion``, about which moments on
+    them are then (tuple of 3); of those in a plane the origin serves.
     """
 
-    free, started = (), {}
+    free, started, centers = (), {}, {}
 
     def outward(self, model, q, qd, work, written=None):
         """As of ``Recursion``."""
@@ -235,6 +237,7 @@ class JointSpace(Recursion):
 
         """
         parents, matrix, right = model.tree[:, PARENT].tolist(), {}, {}
+        self.centers, beyond = {}, {}
         carried, applied = [_Rigid() for _ in parents], list(self.force)
         for i in range(len(parents) - 1, 0, -1):
             p, view, rotor = parents[i], self.views[i], self.bodies[i].rotor
@@ -258,8 +261,10 @@ class JointSpace(Recursion):
                 matrix[i, p] = dot(self.views[p].motion.axis, wrench)
                 wrench, p = self.views[p].at_parent(wrench), parents[p]
             if p > 0:
-                wrench = self._in_world(p, wrench)
-                matrix.update(((i, (p, n)), wrench[n]) for n in floating[p])
+                beyond[i] = p, self._in_world(p, wrench)
+        for i, (p, wrench) in beyond.items():
+            wrench = self.about_center(p, wrench)
+            matrix.update(((i, (p, n)), wrench[n]) for n in floating[p])
         return matrix, right
 
     def rigid_in_view(self, i):
@@ -273,6 +278,10 @@ class JointSpace(Recursion):
                     scale(motion.acceleration, body.mass), motion.convective_acceleration(moment))
         return _Rigid(body.mass, moment, inertia, force)
 
+    def about_center(self, i, wrench):
+        """Return a wrench on a floating body, at its origin, about its centre of mass."""
+        return at_parent(wrench, self.centers.get(i, ZERO))
+
     def _in_world(self, i, wrench):
         axes = self.views[i].axes
         return times(axes, wrench[:3]) + times(axes, wrench[3:])
@@ -281,7 +290,16 @@ class JointSpace(Recursion):
         """Add the entries of a root of its own, in world axes."""
         force = add(self._in_world(i, whole.force), applied)
         axes = self.views[i].axes
-        coupling, about = skew(times(axes, whole.moment)), turned_inertia(whole.inertia, axes)
+        moment, about = times(axes, whole.moment), turned_inertia(whole.inertia, axes)
+        if len(components) == 6 and not is_zero(moment) and not is_number(whole.mass, 0.0):
+            # The arm that carries the body in the tree is like all others then.
+            back = self.centers[i] = scale(moment, 1.0 / (0.0 - whole.mass))
+            x, y, z = (a * b for a, b in zip(moment, back))
+            squares, turned = (y + z, x + z, x + y), about
+            about = symmetric(lambda m, n: turned[m][n] + squares[m] if m == n
+                              else turned[m][n] - moment[m] * back[n])
+            force, moment = self.about_center(i, force), ZERO
+        coupling = skew(moment)
         for n in components:
             right[i, n] = 0.0 - force[n]
             row = about[n] + coupling[n] if n < 3 else 3 * (0.0,) + tuple(
