@@ -539,9 +539,9 @@ def eliminate(plan, found, turning):
         # False for a NaN, too.
         bool(found.eliminate(keys) > ROUNDING * _product([scales[key] for key in keys]))
     bool(smallest >= SMALL_SINE)
+    diagonal = {row: found.entry(row, row) for row in plan.rest}
     for row in plan.rest:
-        diagonal = found.entry(row, row)
-        smallest = least(smallest, found.eliminate([row]) / diagonal)
+        smallest = least(smallest, found.eliminate([row]) / diagonal[row])
     bool(smallest >= elimination.SMALL_PIVOT)
     bool(spare >= elimination.POOR_PIVOT)
     return least(smallest, spare)
