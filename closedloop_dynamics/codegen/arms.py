@@ -98,6 +98,7 @@ class Plan:
 
     def __init__(self, recursion, model, floats=True, root=0, cuts=None, rows=None):
         self.parent, self.floating, self.root = model.tree[:, PARENT].tolist(), {}, root
+        self.angles = _angles(recursion)
         cuts = range(len(model.cut)) if cuts is None else cuts
         eliminated = set(range(1, len(self.parent)) if rows is None else rows)
         if floats:
@@ -141,7 +142,7 @@ class Plan:
             found = cls(recursion, model, floats)
             left = sum(map(len, found.unknowns))
             if found.complete and left <= MOST_LEFT and any(
-                    len(joints) == len(rows) for joints, rows in found.steps):
+                    found.angles or len(joints) == len(rows) for joints, rows in found.steps):
                 return found
         return None
 
@@ -153,10 +154,20 @@ class Plan:
             body = self.parent[body]
         return found
 
+    def counted_from(self, row):
+        """Return the key of the angle that a joint, by its row, turns from, if any."""
+        if row not in self.angles:
+            return None
+        row = self.parent[row]
+        while row > 0 and row not in self.angles:
+            row = self.parent[row]
+        return (row, Z) if row in self.floating else row or None
+
     def free(self, recursion):
-        """Return the rows of floating bodies, none where rotors stand on any body."""
-        return tuple(self.floating) if is_zero(sum(
-            (body.rotor for body in recursion.bodies[1:]), ())) else ()
+        """Return the rows of floating bodies; none in one frame, or where rotors stand on any."""
+        whole = recursion.in_one_frame or not is_zero(sum(
+            (body.rotor for body in recursion.bodies[1:]), ()))
+        return () if whole else tuple(self.floating)
 
     def _find_floating(self, recursion, model):
         """Return the bodies with their full freedom that two cut joints or more hold."""
@@ -213,6 +224,20 @@ class Plan:
         self.complete = over.issuperset(self.rest)
 
 
+def _angles(recursion):
+    """
+    Return the rows of the tree whose unknowns are accelerations of angles in the world.
+
+    Where all axes are parallel, no joint turns but the body that it carries so: levers are those
+    of one body each. Sums of joint coordinates, and rotors on the parents, are in joints.
+    """
+    bodies = recursion.bodies[1:]
+    if not (recursion.in_one_frame and all(is_zero(body.rotor) for body in bodies)
+            and all(one.coupling is None for one in recursion.cuts)):
+        return ()
+    return tuple(i for i, body in enumerate(bodies, start=1) if body.turns and not body.slides)
+
+
 class Equations:
     """
     The symmetric system of accelerations x and negative multipliers m: M x + J^T m = f, J x = g.
@@ -260,8 +285,10 @@ class Equations:
     def eliminate(self, keys):
         """Eliminate up to three keys; return their leading minors, the determinant last."""
         inner, outer, right = self._take(keys)
-        inverse, volume = inverted(inner)
-        known, others = times(inverse, right), list(outer)
+        rows, _, volume, _ = adjugate(inner)
+        # Whoever waits for the last ones waits for the division beside the products.
+        known, others = scale(times(rows, right), 1.0 / volume), list(outer)
+        inverse = [scale(row, 1.0 / volume) for row in rows]
         left = {key: times(inverse, outer[key]) for key in others}
         for n, one in enumerate(others):
             self.add_right(one, 0.0 - dot(outer[one], known))
@@ -301,7 +328,7 @@ class Equations:
         if len(rows) == 1 or len(joints) > len(rows):
             return
         beside = [self._square(key, rows) for key in sorted({
-            key for row in rows for key in self.matrix[row] if key in turning})]
+            key for row in rows for key in self.matrix.get(row, ()) if key in turning})]
         longest = functools.reduce(larger, beside, 0.0)
         for joint in turning.intersection(joints):
             bool(self._square(joint, rows) >= SHORT_LEVER * longest)
@@ -339,7 +366,8 @@ class Equations:
                      for key, column in levers.items() if key not in few}
             if spare:
                 moved[_free(rows)] = negate(across)
-            rest, pushed = self._put_in(moved, times(inverse, given), mass, coupled, force)
+            start = times(inverse, given)
+            rest, pushed = self._put_in(moved, start, mass, coupled, force)
             if few:
                 self._put_in_at_tip(few, transpose(inverse), mass, rest, pushed)
             if fewer:
@@ -351,15 +379,17 @@ class Equations:
 
         def undo(x):
             keys = [*levers, *coupled, *(rows[-1:] if fewer else [])]
-            with branch(('back', *name), [*known, *(x[key] for key in keys)], number):
-                missing = [value - total(column[n] * x[key] for key, column in levers.items())
-                           for n, value in enumerate(given)]
-                found = times(inverse, missing)
-                if spare:
-                    found = add(found, scale(across, x[_free(rows)]))
-                loads = [value - dot(row, found) - total(
-                    column[n] * x[key] for key, column in coupled.items())
-                    for n, (row, value) in enumerate(zip(mass, force))]
+            with branch(('back', *name), [
+                    *known, *(x[key] for key in keys), *start, *rest,
+                    *sum(moved.values(), ()), *sum(pushed.values(), ())], number):
+                if few:
+                    found = times(inverse, _less(given, levers, x))
+                    loads = _less(_less(force, coupled, x), dict(zip(joints, mass)), dict(
+                        zip(joints, found)))
+                else:
+                    # Neither waits for the other.
+                    found = _less(start, moved, x)
+                    loads = negate(_less(rest, pushed, x))
                 multipliers = times(transpose(inverse), loads)
                 if fewer:
                     multipliers = add(multipliers, scale(across, x[rows[-1]]))
@@ -427,13 +457,19 @@ class AlwaysSingularError(ValueError):
 
 
 def inverted(columns):
+    """Return the inverse of one to three columns, a row across these, and their determinant."""
+    rows, across, volume, size = adjugate(columns)
+    return (*(scale(row, 1.0 / size) for row in rows), *across), volume
+
+
+def adjugate(columns):
     """
-    Return the inverse of one to three columns, and their determinant.
+    Return the inverse of one to three columns times a size, a row across, determinant and size.
 
     AlwaysSingularError where the determinant is zero whatever the position is.
 
-    Where there is a row more than columns the last row is one across these, and their squared
-    volume takes the place of the determinant.
+    Where there is a row more than columns one is across these, and their squared volume takes the
+    place of the determinant.
     """
     across, size = (), None
     if len(columns) == len(columns[0]) == 1:
@@ -461,8 +497,7 @@ def inverted(columns):
         rows, across = (cross(b, across), cross(across, a)), (across,)
     if is_number(volume, 0.0):
         raise AlwaysSingularError
-    return (*(scale(row, 1.0 / (volume if size is None else size)) for row in rows),
-            *across), volume
+    return rows, across, volume, volume if size is None else size
 
 
 def _symbols(values):
@@ -475,19 +510,34 @@ def total(values):
     return sum(values, 0.0)
 
 
+def _less(values, columns, x):
+    """Return values less the sum of columns times unknowns, by key."""
+    return tuple(value - total(column[n] * x[key] for key, column in columns.items())
+                 for n, value in enumerate(values))
+
+
 def _assemble(recursion, model, work, tau, baumgarte, plan):
     """Return the equations of motion and of closure; floating bodies are roots of their own."""
     found = Equations()
     # In the plane the world's axes are those of all views.
     add_motion = _add_motion_in_views if space.is_spatial(model) else _add_motion
-    add_motion(recursion, model, recursion.about_world(model, tau), plan, found)
+    tau = recursion.about_world(model, tau)
+    add_motion(recursion, model, tau, plan, found)
+    for i in plan.angles:
+        # What turns by the difference of two angles.
+        other, armature = plan.counted_from(i), recursion.bodies[i].armature
+        if other is not None:
+            found.add_right(other, 0.0 - tau[model.tree[i, DOF]])
+        if other is not None and armature is not None:
+            found.add(other, other, armature)
+            found.add(i, other, 0.0 - armature)
     for body, components in plan.floating.items():
         for n in components:
             row, unit = (EQUATION, body, n), tuple(float(m == n) for m in range(6))
             about = recursion.about_center(body, unit)
             for m in components:
                 found.add(row, (body, m), about[m])
-            own, wrench = recursion.transmit_wrench(body, negate(unit))
+            own, wrench = recursion.transmit_wrench(body, negate(unit), body in plan.angles)
             found.add(row, body, own)
             found.add_right(row, recursion.started.get(body, 2 * ZERO)[n])
             _spread(recursion, plan, {plan.parent[body]: wrench}, row, found)
@@ -545,7 +595,7 @@ def _tip(recursion, model, plan, joints, rows):
 
 def _add_motion_in_views(recursion, model, tau, plan, found):
     """Add the equations of motion, formed in axes of the bodies' own."""
-    matrix, right = recursion.equations_of_motion(model, tau, plan.floating)
+    matrix, right = recursion.equations_of_motion(model, tau, plan.floating, plan.angles)
     for pair, value in matrix.items():
         found.add(*pair, value)
     for key, value in right.items():
@@ -553,28 +603,30 @@ def _add_motion_in_views(recursion, model, tau, plan, found):
 
 
 def _add_motion(recursion, model, tau, plan, found):
-    """Add the equations of motion, formed in the world's axes."""
+    """Add the equations of motion in the plane, formed in the world's axes."""
     inertia, force = list(recursion.inertia), list(recursion.force)
     for i in range(len(plan.parent) - 1, 0, -1):
-        p, motion, wrench = plan.parent[i], recursion.motion[i], 2 * ZERO
-        armature, momentum = recursion.bodies[i].armature, recursion.rotor[i]
+        p, motion = plan.parent[i], recursion.motion[i]
+        armature = recursion.bodies[i].armature
         found.add(i, i, 0.0 if armature is None else armature)
-        found.add_right(i, tau[model.tree[i, DOF]] - dot(
-            momentum, recursion.motion[p].spin_rate))
+        found.add_right(i, tau[model.tree[i, DOF]])
         if i in plan.floating:
             for n in plan.floating[i]:
                 found.add_right((i, n), 0.0 - force[i][n])
                 for m in range(n, 6):
                     found.add((i, n), (i, m), inertia[i][n][m])
-        else:
-            wrench = times(inertia[i], motion.axis)
-            found.add(i, i, dot(motion.axis, wrench))
-            found.add_right(i, 0.0 - dot(motion.axis, force[i]))
-            if p > 0:
-                inertia[p] = tuple(map(add, inertia[p], shifted(inertia[i], motion.offset)))
-                force[p] = add(force[p], at_parent(force[i], motion.offset))
-        wrench = add(at_parent(wrench, motion.offset), momentum + ZERO)
-        _spread(recursion, plan, {p: wrench}, i, found)
+            continue
+        wrench = times(inertia[i], motion.axis)
+        found.add(i, i, dot(motion.axis, wrench))
+        found.add_right(i, 0.0 - dot(motion.axis, force[i]))
+        if i in plan.angles:
+            # No angle of another body turns it: to those it is a mass in the joint.
+            wrench, force[i] = ZERO + wrench[3:], ZERO + force[i][3:]
+            inertia[i] = 3 * (2 * ZERO,) + tuple(ZERO + row[3:] for row in inertia[i][3:])
+        if p > 0:
+            inertia[p] = tuple(map(add, inertia[p], shifted(inertia[i], motion.offset)))
+            force[p] = add(force[p], at_parent(force[i], motion.offset))
+        _spread(recursion, plan, {p: at_parent(wrench, motion.offset)}, i, found)
 
 
 def _spread(recursion, plan, arrived, key, found):
@@ -587,7 +639,7 @@ def _spread(recursion, plan, arrived, key, found):
             for n in plan.floating[i]:
                 found.add(key, (i, n), wrench[n])
         elif i > 0:
-            force, wrench = recursion.transmit_wrench(i, wrench)
+            force, wrench = recursion.transmit_wrench(i, wrench, i in plan.angles)
             found.add(key, i, force)
             arrived[plan.parent[i]] = add(arrived.get(plan.parent[i], 2 * ZERO), wrench)
 
@@ -614,7 +666,7 @@ def solve(recursion, model, work, tau, baumgarte, qdd, lam):
     elimination.record_pivot(model, work, smallest)
     x = found.solution({})
     for i in range(1, len(plan.parent)):
-        qdd[model.tree[i, DOF]] = x[i]
+        qdd[model.tree[i, DOF]] = x[i] - x.get(plan.counted_from(i), 0.0)
     recursion.about_own(model, qdd)
     for cut in model.cut:
         for row in _rows(cut):

@@ -53,7 +53,8 @@ def structure(model):
 
     Effects change masses, rotors and joint types of a model.
     """
-    found = space.kinds_of_bodies(model) if space.is_spatial(model) else ()
+    found = space.kinds_of_bodies(model) if space.is_spatial(model) else (
+        plane.zeros_of_bodies(model),)
     return b''.join(array.tobytes() for array in (model.tree, *found))
 
 
@@ -98,6 +99,8 @@ class _Body:
     def __init__(self, arrays, model, row):
         self.arrays, self.on_ground = arrays, model.tree[row, PARENT] == 0
         self.model = model.replaced(tree=model.tree[[0, row]], body=model.body[[0, row]])
+        if arrays is plane:
+            self.model = plane.without_zeros(self.model)
         self.model.tree[1, PARENT] = 0
 
     @staticmethod
@@ -304,6 +307,8 @@ class _Cut:
         # Which of them are kept is the engine's matter, and may change in a run.
         cut[:, KEPT] = cut[:, POSSIBLE]
         self.model = model.replaced(cut=cut, cut_point=model.cut_point[[row]])
+        if arrays is plane:
+            self.model = plane.without_zeros(self.model)
 
     @staticmethod
     def kind(model, row):
@@ -313,7 +318,7 @@ class _Cut:
         law = coupling_law.structure(model.replaced(
             cut=model.cut[[row]], cut_point=model.cut_point[[row]]))
         return (*model.cut[row, [CUT_TYPE, POSSIBLE]].tolist(), *width,
-                space.is_spatial(model) and space.is_carried(model.cut[row]),
+                space.is_spatial(model) and space.is_carried(model, model.cut[row]),
                 *(int(model.cut[row, PATH_END] - model.cut[row, PATH_A]) for _ in law),
                 *(each.tobytes() for each in law))
 

@@ -131,10 +131,15 @@ class JointSpace(Recursion):
             if i in self.free:
                 self._release(i, parents)
 
+    @property
+    def in_one_frame(self):
+        """Return whether all angles are counted from the ground's frame, in space, too."""
+        return all(body.turned is None and not body.ball for body in self.bodies[1:])
+
     def _shared(self, parents):
         """Return the bodies in whose ``base`` further angles are counted: they share its axes."""
         rows = range(1, len(parents))
-        if self.is_parallel:
+        if self.in_one_frame:
             return set(rows)
         counted, found = {i for i in rows if self.bodies[i].turned is None
                           and not self.bodies[i].ball}, set()
@@ -216,7 +221,7 @@ class JointSpace(Recursion):
         return [one._replace(on_a=at_parent(one.on_a, levers[0]),
                              on_b=at_parent(one.on_b, levers[1])) for one in found]
 
-    def equations_of_motion(self, model, tau, floating=()):
+    def equations_of_motion(self, model, tau, floating=(), angles=()):
         """
         Return inertia matrix and right side of the equations of motion without multipliers.
 
@@ -228,6 +233,8 @@ class JointSpace(Recursion):
             In the joints [N m, N]; those of spherical joints about the world's axes.
         floating : dict of int to tuple of int
             Bodies that are roots of their own, and the components of their motion.
+        angles : collection of int
+            Rows that no joint turns but their own, whose parallel axes are counted in the world.
 
         Returns
         -------
@@ -253,12 +260,18 @@ class JointSpace(Recursion):
                 matrix[i, i] = matrix[i, i] + dot(view.motion.axis, wrench)
                 right[i] = right[i] - dot(view.motion.axis, whole.force) - dot(
                     self.motion[i].axis, applied[i])
+                if i in angles:
+                    # To other angles it is a mass in the joint.
+                    wrench, applied[i] = ZERO + wrench[3:], ZERO + applied[i][3:]
+                    whole = _Rigid(mass=whole.mass, force=ZERO + whole.force[3:])
                 if p > 0:
                     carried[p] = carried[p].plus(view.on_parent(whole))
                     applied[p] = add(applied[p], at_parent(applied[i], self.motion[i].offset))
             wrench = add(view.at_parent(wrench), times(self.views[p].frame, rotor) + ZERO)
             while p > 0 and p not in floating:
                 matrix[i, p] = dot(self.views[p].motion.axis, wrench)
+                if p in angles:
+                    wrench = ZERO + wrench[3:]
                 wrench, p = self.views[p].at_parent(wrench), parents[p]
             if p > 0:
                 beyond[i] = p, self._in_world(p, wrench)

@@ -15,7 +15,7 @@ from ..engine.types import (
     CUT_PRISMATIC, CUT_REVOLUTE, CUT_TYPE, DX, DY, DZ, FACTORS, FX, FY, FZ, HX, HY, INERTIA, IZZ,
     JOINT_X, JOINT_Y, LENGTHS, MASS, MASS_X, MASS_Y, MOTION_COLUMNS, MXX, MXY, MYY, OMEGA, PATH_A,
     PRESCRIBED_JOINT, PRESCRIBED_PLACE, PRESCRIBED_TURN, PRISMATIC, PX, PY, REVOLUTE_ARMATURE,
-    ROWS, RX, RY, SIN, SX, SY, TYPE, UX, UY, UZ, VX, VY)
+    ROWS, RX, RY, SIN, SX, SY, TYPE, UX, UY, UZ, VARIES, VX, VY)
 
 # Where the components of a wrench, of a motion and of an inertia are in Workspace.body, angular
 # ones first: of the bias force, of U = IA S, of the acceleration, of the inertia.
@@ -23,6 +23,8 @@ FORCES = {2: FZ, 3: FX, 4: FY}
 SHARES = {2: UZ, 3: UX, 4: UY}
 CHANGES = {2: DZ, 3: DX, 4: DY}
 INERTIAS = {(2, 2): IZZ, (2, 3): HX, (2, 4): HY, (3, 3): MXX, (3, 4): MXY, (4, 4): MYY}
+# Constants that are often zero.
+ZEROS, ZEROS_OF_CUTS = (MASS_X, MASS_Y, JOINT_X, JOINT_Y), (A_X, A_Y, B_X, B_Y)
 # Where a body's motion is, as ``space.MOTION``.
 MOTION = {'angle': (ALPHA,), 'frame': (COS, None, None, SIN), 'origin': (PX, PY),
           'offset': (RX, RY), 'spin': (None, None, OMEGA), 'velocity': (VX, VY),
@@ -80,14 +82,52 @@ def structure(model):
     """
     Return the structural data of code for a planar mechanism, beside its topology.
 
-    Which joints its couplings read; empty where there are none.
+    Which places and first moments are zero, and which joints its couplings read.
     """
+    zeros = zeros_of_bodies(model), zeros_of_cuts(model)
     couplings = model.cut[:, CUT_TYPE] == CUT_COUPLING
-    found = (model.cut_point[couplings, FACTORS:] != 0.0, *coupling_law.structure(model)) if (
-        couplings.any()) else ()
+    found = (*zeros, model.cut_point[couplings, FACTORS:] != 0.0,
+             *coupling_law.structure(model)) if couplings.any() else zeros
     places = model.cut[:, CUT_TYPE] == COUPLED_PLACE
     return (*found, model.cut_point[places, _COUPLED:-MOTION_COLUMNS] != 0.0) if (
         places.any()) else found
+
+
+def zeros_of_bodies(model):
+    """
+    Return which constants of bodies are zero and stay so, with the terms they multiply.
+
+    Of bodies of one kind all are: equal arms take equal operations.
+    """
+    found = np.zeros(model.body.shape, dtype=bool)
+    found[:, ZEROS] = model.body[:, ZEROS] == 0.0
+    found &= ~space.varies(model)
+    for alike in space.sisters(model):
+        found[alike] = found[alike].all(axis=0)
+    return found
+
+
+def zeros_of_cuts(model):
+    """Return the same of the points of cut joints."""
+    found, rows = np.zeros(model.cut_point.shape, dtype=bool), _with_points(model)
+    found[rows, ZEROS_OF_CUTS] = model.cut_point[rows, ZEROS_OF_CUTS] == 0.0
+    for alike in space.alike_cuts(model, list(space.sisters(model))):
+        found[alike] = found[alike].all(axis=0)
+    return found
+
+
+def without_zeros(model):
+    """Return a model with the same structure but for these zeros: all of them are loads."""
+    tree, cut_point = model.tree.copy(), model.cut_point.copy()
+    tree[:, VARIES] = -1
+    cut_point[_with_points(model), ZEROS_OF_CUTS] = 1.0
+    return model.replaced(tree=tree, cut_point=cut_point)
+
+
+def _with_points(model):
+    """Return the rows of cut joints that are at points, as a column."""
+    return np.flatnonzero(~np.isin(
+        model.cut[:, CUT_TYPE], (CUT_COUPLING, PRESCRIBED_JOINT)))[:, np.newaxis]
 
 
 def bodies(model, symbols):
@@ -97,6 +137,7 @@ def bodies(model, symbols):
     Quantities without meaning in the plane, such as inertias about axes in it, are zero.
     """
     found = []
+    symbols = np.where(zeros_of_bodies(model), 0.0, symbols)
     for row, kind in zip(symbols, model.tree[:, TYPE]):
         slides = float(kind == PRISMATIC)
         found.append(Body(
@@ -110,6 +151,7 @@ def bodies(model, symbols):
 
 def cuts(model, symbols):
     """Describe the cut joints of a planar mechanism by symbols, as of ``Model.cut_point``."""
+    symbols = np.where(zeros_of_cuts(model), 0.0, symbols)
     return [_coupling(model, one, values, row)
             if one[CUT_TYPE] in (CUT_COUPLING, PRESCRIBED_JOINT) else
             Cut(*HELD[one[CUT_TYPE]][1:], (row[A_X], row[A_Y], 0.0), (row[B_X], row[B_Y], 0.0),

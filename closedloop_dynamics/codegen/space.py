@@ -184,7 +184,7 @@ def _cut_structure(model):
     return found
 
 
-def _alike(model, rows):
+def alike_cuts(model, rows):
     """Yield rows of cut joints of one type between ``rows`` of one kind, for alike operations."""
     kinds, cut = np.zeros(len(model.tree), dtype=int), model.cut
     for some in rows:
@@ -206,8 +206,8 @@ def body_structure(model):
     body = model.body
     found = _structure(body, slice(TURNED, PARALLEL))
     found[:, PARALLEL] = body[:, PARALLEL]
-    varies = _varies(model)
-    found[varies] = np.nan
+    varying = varies(model)
+    found[varying] = np.nan
     # Where nothing has mass a joint's pivot is zero, and is to be divided by like any other:
     # refinement takes it from there.
     bare = body[:, MASS] == 0.0
@@ -215,35 +215,36 @@ def body_structure(model):
         bare[parent] &= bare[row]
     if bare.any():
         found[np.ix_(bare, (MASS, INERTIA, INERTIA + 1, INERTIA + 2))] = np.nan
-    return np.column_stack([found, *_equal_moments(body, varies)])
+    return np.column_stack([found, *_equal_moments(body, varying)])
 
 
 def kinds_of_bodies(model):
     """Return the inputs of ``body_structure`` that change with masses and rotors."""
     body, about = model.body, model.body[:, INERTIA:INERTIA + 3]
     if model.tree[:, VARIES].any():
-        varies = _varies(model)
-        return (body == 0.0) & ~varies, body[:, TURNED:PARALLEL], *_equal_moments(body, varies)
+        varying = varies(model)
+        return (body == 0.0) & ~varying, body[:, TURNED:PARALLEL], *_equal_moments(body, varying)
     # As above, for the samples of a rollout.
     return body == 0.0, body[:, TURNED:PARALLEL], about == about[:, (1, 2, 0)]
 
 
-def _varies(model):
+def varies(model):
     """Return which constants of bodies may change while code runs."""
-    return (model.tree[:, VARIES, np.newaxis] >> np.arange(BODY_COLUMNS) & 1).astype(bool)
+    return (model.tree[:, VARIES, np.newaxis] >> np.arange(model.body.shape[1]) & 1).astype(bool)
 
 
-def _equal_moments(body, varies):
+def _equal_moments(body, varying):
     """Return which of the moments of inertia of bodies agree, and stay so."""
-    return [(body[:, INERTIA + m] == body[:, INERTIA + n]) & ~varies[:, INERTIA]
+    return [(body[:, INERTIA + m] == body[:, INERTIA + n]) & ~varying[:, INERTIA]
             for m, n in ((0, 1), (0, 2), (1, 2))]
 
 
-def _sisters(model):
+def sisters(model):
     """Yield rows of the tree of one kind behind ones of one kind: their operations are alike."""
     kinds, rows = [0], {}
     for row, one in list(enumerate(model.tree))[1:]:
-        key = (kinds[one[PARENT]], *one[[TYPE, AXIS]], model.body[row, PARALLEL])
+        key = kinds[one[PARENT]], *one[[TYPE, AXIS]], is_spatial(model) and model.body[
+            row, PARALLEL]
         kinds.append(row)
         rows.setdefault(key, []).append(row)
         kinds[row] = rows[key][0]
@@ -262,7 +263,7 @@ def bodies(model, symbols, arms=False):
     ``arms``: whether equal arms are to take equal operations, with numbers where one has zeros.
     """
     pattern = body_structure(model)
-    for alike in _sisters(model) if arms else ():
+    for alike in sisters(model) if arms else ():
         rows = pattern[alike]
         pattern[alike] = np.where((rows == rows[0]).all(axis=0), rows, np.nan)
         pattern[alike, BODY_COLUMNS:] = rows[:, BODY_COLUMNS:].all(axis=0)
@@ -324,7 +325,7 @@ def hinges(model, some, cuts):
 def cuts(model, symbols):
     """Describe the cut joints of a mechanism in space by symbols, as of ``Model.cut_point``."""
     pattern, found = _cut_structure(model), []
-    for alike in _alike(model, list(_sisters(model))):
+    for alike in alike_cuts(model, list(sisters(model))):
         points = pattern[alike, :TURNED_A]
         pattern[alike, :TURNED_A] = np.where(np.isnan(points).any(axis=0), np.nan, points)
     for cut, values, fixed, row in zip(model.cut, model.cut_point, pattern, symbols):
@@ -341,20 +342,23 @@ def cuts(model, symbols):
             if cut[CUT_TYPE] >= COUPLED_PLACE else None,
             law=coupling_law.law_of(cut, values, row),
             motion=prescribed(cut, row), between=cut[CUT_TYPE] >= PRESCRIBED_PLACE,
-            turns=cut[CUT_TYPE] in (PRESCRIBED_TURN, COUPLED_TURN), carried=is_carried(cut)))
+            turns=cut[CUT_TYPE] in (PRESCRIBED_TURN, COUPLED_TURN),
+            carried=is_carried(model, cut)))
     return found
 
 
-def is_carried(cut):
+def is_carried(model, cut):
     """
     Return whether a cut joint, a row of ``Model.cut``, holds places along axes of body B.
 
     Joints with an axis do, in loops that a moving body carries: what holds there anyway, such as
     the places across a planar loop, or repeats another loop does so along axes that move with it.
+    Where all axes are parallel the world's serve.
     """
     _, along, perpendicular = HELD[cut[CUT_TYPE]]
     return bool(
-        len(along) == 3 and len(perpendicular) > 1 and cut[PATH_COMMON] < cut[PATH_END])
+        len(along) == 3 and len(perpendicular) > 1 and cut[PATH_COMMON] < cut[PATH_END]
+        and not (model.body[1:, PARALLEL].all() and (model.tree[1:, TYPE] != BALL).all()))
 
 
 def kept(cut):

@@ -15,6 +15,7 @@ from typing import Tuple, Union
 
 from .effect import Effect
 from ..codegen import space
+from ..engine.types import MASS_X, MASS_Y
 from ..mechanism.checks import name, not_negative, one_or_several, vector
 from ..mechanism.fields import at
 from ..mechanism.mechanism import Vector
@@ -59,8 +60,8 @@ class Payload(Effect):
 
     def reserve(self, model, machine):
         """Make all constants loads that a mass changes."""
-        if not machine.mechanism.planar:
-            space.vary(model, machine.body(self.body), range(space.MASS, space.PLACE))
+        space.vary(model, machine.body(self.body), (MASS_X, MASS_Y) if machine.mechanism.planar
+                   else range(space.MASS, space.PLACE))
 
     def change(self, model, machine):
         """Add the mass to the model."""

@@ -107,7 +107,7 @@ def _is_held(model):
         found.append(held(a, model, carriers))
         for carrier in carriers[:1]:
             here, along = held(a, on_ground(carrier), ()), len(space.HELD[cut[t.CUT_TYPE]][1])
-            if along == 3 and not space.is_carried(cut) and not all(here[:along]):
+            if along == 3 and not space.is_carried(model, cut) and not all(here[:along]):
                 # These are along the world's axes, in which it turns.
                 here[:along] = along * [False]
             found[-1] = [one or other for one, other in zip(found[-1], here)]

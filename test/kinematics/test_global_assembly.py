@@ -63,7 +63,7 @@ def test_jacobian_is_the_derivative_of_the_closure_errors():
         # Axes that turn with a body change these three places, but not their sum of squares.
         apart, start = np.ones(len(found), dtype=bool), 0
         for cut in loops.equations.model.cut[np.argsort(loops.equations.model.cut[:, CUT_NUMBER])]:
-            if space.is_carried(cut):
+            if space.is_carried(loops.equations.model, cut):
                 apart[start:start + 3] = False
             start += int(cut[POSSIBLE]).bit_count()
         np.testing.assert_allclose(found[apart], expected[apart], atol=1e-8)
