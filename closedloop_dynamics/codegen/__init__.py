@@ -14,14 +14,14 @@ kernels for each kind of body, which the engine's loops over bodies call (``join
 import numpy as np
 
 from .function_table import (
-    ALWAYS, BODY, LEAST_FORCES, LEFT_OUT, LOOP_EQUATIONS, OF_FORCES, REACTIONS, REFINED,
-    TORQUE_RESPONSE, WRENCHES)
-from .machine_code import announced_by
+    ALWAYS, BODY, LEAST_FORCES, LEFT_OUT, LOOP_EQUATIONS, OF_BRANCHES, OF_FORCES, REACTIONS,
+    REFINED, TORQUE_RESPONSE, WRENCHES)
+from .machine_code import announced_by, PLACES
 from .routines import addresses, unrolled_size, with_torque_response
 from .space import is_spatial
 
 __all__ = ['ALWAYS', 'announced_by', 'can_be_unrolled', 'LEAST_FORCES', 'LEFT_OUT', 'link',
-           'LOOP_EQUATIONS', 'MOST_UNROLLED_OPERATIONS', 'OF_FORCES', 'REACTIONS', 'REFINED',
+           'MOST_UNROLLED_OPERATIONS', 'OF_BRANCHES', 'OF_FORCES', 'REACTIONS', 'REFINED',
            'relink', 'TORQUE_RESPONSE', 'unrolled_size', 'WRENCHES']
 
 # Unrolled code is three to twenty times as fast as loops over bodies. It grows with the mechanism:
@@ -40,8 +40,11 @@ def link(model, table, which=ALWAYS, joints=None):
     ``joints`` are for LEAST_FORCES and LEFT_OUT.
     """
     found = with_torque_response(model) if TORQUE_RESPONSE in which else {}
-    others = tuple(one for one in which if one not in found and one != TORQUE_RESPONSE)
-    for place, address in {**addresses(model, others, joints=joints), **found}.items():
+    others = tuple(one for one in which if one not in (*found, TORQUE_RESPONSE, LOOP_EQUATIONS))
+    found |= addresses(model, others, joints=joints)
+    if LOOP_EQUATIONS in which:
+        found |= addresses(model, (LOOP_EQUATIONS,), PLACES)
+    for place, address in found.items():
         table[place] = address
 
 

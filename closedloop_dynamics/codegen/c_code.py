@@ -23,7 +23,7 @@ import warnings
 from .c_writer import SINE_AND_COSINE, Statements
 from .expression_graph import CALL, Q, QD, TAKE, with_others
 from .function_table import (
-    BAUMGARTE, ENTRIES, LANES, LAW_COLUMNS, PRESENT, PRESENT_COLUMNS, SHARED, TAU)
+    BAUMGARTE, ENTRIES, LANES, LAW_COLUMNS, PLACES, PRESENT, PRESENT_COLUMNS, SHARED, TAU)
 
 FLAGS = ('-O1', '-fPIC', '-shared', '-nostdlib', '-ffp-contract=off', '-fno-math-errno', '-w')
 HEAD = f"""\
@@ -93,6 +93,8 @@ class _Kernel(_Scalar):
 class _Lanes(_Scalar):
     """Statements of a routine for one state after the other."""
 
+    LANES = LANES
+
     @classmethod
     def of(cls, routine):
         """Return the statements of what does the same in all lanes."""
@@ -106,19 +108,35 @@ class _Lanes(_Scalar):
 
     def _element(self, source, place):
         array = self._places[source]
-        return f'{array}[{place}]' if source in (BAUMGARTE, SHARED) else (
-            f'{array}[{LANES * place} + lane]')
+        return f'{array}[{place}]' if self._is_shared(source) else (
+            f'{array}[{self.LANES * place} + lane]')
+
+    def _is_shared(self, source):
+        return source in (BAUMGARTE, SHARED)
 
     def text(self):
         """Return a loop over the lanes."""
         *lines, end = self.lines
         good = end.removeprefix('return ')
-        return '\n'.join((f'int good = 1;\nfor (int lane = 0; lane < {LANES}; ++lane) {{', *lines,
-                          f'good &= {good}', '}', 'return good;'))
+        return '\n'.join((f'int good = 1;\nfor (int lane = 0; lane < {self.LANES}; ++lane) {{',
+                          *lines, f'good &= {good}', '}', 'return good;'))
+
+
+class _Places(_Lanes):
+    """Statements of a routine for several states of one mechanism."""
+
+    LANES = PLACES
+
+    def __init__(self, routine, places, otherwise=None):
+        self._outputs = {source for source, _, _ in routine.outputs}
+        super().__init__(routine, places, otherwise)
+
+    def _is_shared(self, source):
+        return source not in (Q, QD) and source not in self._outputs
 
 
 WRITERS = {'Writer': _Scalar, 'PackedWriter': _Scalar, 'RowWriter': _Row, 'KernelWriter': _Kernel,
-           'LaneWriter': _Lanes}
+           'LaneWriter': _Lanes, 'PlaceWriter': _Places}
 
 
 def compiler():

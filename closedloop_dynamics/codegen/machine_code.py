@@ -18,9 +18,10 @@ from threading import Lock
 from . import c_code, cache
 
 # How routines are written: module and class.
-SCALAR, ROW, KERNEL, LANES, PACKED = (
+SCALAR, ROW, KERNEL, LANES, PLACES, PACKED = (
     ('.emit', 'Writer'), ('.emit', 'RowWriter'), ('.emit', 'KernelWriter'),
-    ('.lane_writer', 'LaneWriter'), ('.packed_writer', 'PackedWriter'))
+    ('.lane_writer', 'LaneWriter'),
+    ('.lane_writer', 'PlaceWriter'), ('.packed_writer', 'PackedWriter'))
 # Passes of higher levels take time and make this code no faster: it has no loops.
 OPTIMISATION = 1
 # Operations that are compiled in a second; what takes less than LONG [s] is not announced.
@@ -49,8 +50,8 @@ def machine_code(key, routines, form, parts=1):
 
     ``key``: structure of the mechanism and all else that the routines depend on; ``routines``
     returns the list of Routine, called only where nothing is stored; ``form``: ``SCALAR``,
-    ``ROW``, ``KERNEL``, ``LANES`` or ``PACKED``; ``parts``: of how many objects the code
-    is, at most as many as there are routines.
+    ``ROW``, ``KERNEL``, ``LANES``, ``PLACES`` or ``PACKED``; ``parts``: of how many objects the
+    code is, at most as many as there are routines.
     """
     host, compiled, loaded = (c_code.host, c_code.compiled, c_code.loaded) if (
         cache.LLVM is None) else (_host, _compiled, _loaded)

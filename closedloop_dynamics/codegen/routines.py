@@ -15,14 +15,15 @@ from .expression_graph import (
     ADD, ARCTANGENT, CALL, DIVIDE, EXPONENTIAL, ExpressionGraph, graph_of, LOAD, LOGARITHM,
     MULTIPLY, NEGATE, POWER, Q, QD, Routine, SQUARE_ROOT, SUBTRACT, TooManyOperations)
 from .function_table import (
-    ACCELERATION, BAUMGARTE, BIAS, BODY, CLOSURE, CLOSURE_RATE, CORRECTION, CORRECTIONS, CUT_POINT,
-    ENERGIES, EVALUATION, FACTORS, GRAVITY, HEALTH, JACOBIAN, JOINT_POINT, LAM, LAM_OF_ALL,
-    LEAST_FORCES, LEFT_OUT, LOOP_EQUATIONS, OUTWARD, QDD, REACTION, REACTIONS,
-    REFINED_ACCELERATION, REFINED_CORRECTION, TAU, TORQUE_RESPONSE, WORK_BODY, WRENCH, WRENCHES)
+    ACCELERATION, ADDED_FORCE, BAUMGARTE, BIAS, BODY, CLOSURE, CLOSURE_RATE, CORRECTION,
+    CORRECTIONS, CUT_POINT, ENERGIES, EQUATIONS_OF_MOTION, EVALUATION, FACTORS, GRAVITY, HEALTH,
+    INERTIA_MATRIX, JACOBIAN, JOINT_FORCE, JOINT_POINT, LAM, LAM_OF_ALL, LEAST_FORCES, LEFT_OUT,
+    LOOP_EQUATIONS, OUTWARD, QDD, REACTION, REACTIONS, REFINED_ACCELERATION, REFINED_CORRECTION,
+    TAU, TORQUE_RESPONSE, WORK_BODY, WRENCH, WRENCHES)
 from .linear_map import divided
 from .machine_code import machine_code, PACKED
 from .rows import by_column, columns_of, matrix, six
-from .vectors import in_space, times, transpose
+from .vectors import add, in_space, times, transpose
 from .workspace import zeros_like_workspace
 from ..engine import native
 from ..engine.types import (
@@ -34,7 +35,7 @@ NAMES = {EVALUATION: 'evaluation', OUTWARD: 'outward', ACCELERATION: 'accelerati
          REFINED_CORRECTION: 'refined_correction', REACTIONS: 'reactions',
          WRENCHES: 'wrenches', LEAST_FORCES: 'least_forces',
          LOOP_EQUATIONS: 'loop_equations', LEFT_OUT: 'left_out', ENERGIES: 'energies',
-         TORQUE_RESPONSE: 'torque_response'}
+         TORQUE_RESPONSE: 'torque_response', EQUATIONS_OF_MOTION: 'equations_of_motion'}
 
 
 def topology(model):
@@ -477,6 +478,26 @@ class MechanismTrace:
                     row[turns] = times(transpose(frame), row[turns])
         for source, values in ((CLOSURE, closure), (BIAS, bias), (JACOBIAN, jac)):
             self.store(source, values)
+
+    def equations_of_motion(self):
+        """Inertia matrix of the trees, and what of the forces in joints accelerates them."""
+        one, model, columns = self.recursion, self.model, self.arrays.FORCES
+        one.hinges, one.apart = (), self.arrays is space
+        one.outward(model, self.q, self.qd, self.work)
+        places = {component: n for n, component in enumerate(columns)}
+        one.force[1:] = [add(force, six(row, places)) for force, row in zip(
+            one.force[1:], self.symbols(ADDED_FORCE, (self.nv + 1, len(columns)))[1:])]
+        matrix, right = one.equations_of_motion(
+            self.constant, one.about_world(self.constant, self.symbols(TAU, (self.nv,))))
+        gim, force, dofs = zeros(self.nv, self.nv), zeros(self.nv), model.tree[:, DOF].tolist()
+        for (i, k), entry in matrix.items():
+            gim[dofs[i], dofs[k]] = gim[dofs[k], dofs[i]] = entry
+        for i, value in right.items():
+            force[dofs[i]] = value
+        for each in (*gim, *gim.T, force):
+            one.about_own(self.constant, each)
+        self.store(INERTIA_MATRIX, gim)
+        self.store(JOINT_FORCE, force)
 
     @property
     def size(self):

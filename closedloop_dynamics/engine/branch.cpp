@@ -42,6 +42,8 @@ constexpr double NEAR = 2e-3, SQUARED = 3.0;
 constexpr double REGULAR = 0.02, CHOSEN = 1e-8;
 // Equations whose factors cost less than to ask the elimination of the geometry first.
 constexpr Index FEW_EQUATIONS = 8;
+// Share of the derivatives at a single place, which is at all places.
+constexpr Lanes FIRST{Lanes::Pair{1.0, 0.0}, Lanes::Pair{0.0, 0.0}};
 // Numbers of all arrays that are needed here: at most, and on the stack.
 constexpr Index ROOM = 1024;
 
@@ -97,29 +99,43 @@ bool accelerate_by_loops(const System & system, Values q, Values qd, Table added
 /// whether it is there.
 bool find_beside(BranchEquations & equations, const BranchPoint & point, double pivot)
 {
-  if (!is_certain(equations.system, largest(equations.closure), pivot)) {
+  double gap = 0.0;
+  for (Index i = 0; i < equations.nc; ++i) {
+    gap = std::max(gap, std::abs(equations.gap(i)));
+  }
+  if (!is_certain(equations.system, gap, pivot)) {
     return false;
   }
+  const LaneValues q = equations.place, rate = equations.rate;
+  Scratch<double, ROOM> scratch(PLACES * rate.size);
+  const LaneValues bend{&Lanes::at(scratch.take(PLACES * rate.size).data), rate.size};
+  bend.fill(Lanes::of(0.0));
   for (Component & part : equations.components) {
-    if (!equations.settle(part, point.q, point.rate)) {
+    if (!equations.settle(part, q, rate)) {
       return false;
     }
     equations.count_moving(part);
-    equations.follow(part, point.q, point.rate, point.path_acceleration);
-    equations.add_tangents(part, point.tangent, 1.0);
+    equations.follow(part, q, rate, bend);
+    equations.add_tangents(part, point.tangent, FIRST);
+  }
+  for (Index i = 0; i < q.size; ++i) {
+    point.q[i] = q[i][0];
+  }
+  for (Index i = 0; i < rate.size; ++i) {
+    point.rate[i] = rate[i][0];
+    point.path_acceleration[i] = bend[i][0];
   }
   return true;
 }
 
-/// Record how far open the loops are at a state between places around it, where components are
-/// singular: as far as these places are on two branches, not on one that goes through.
+/// Record how far open the loops are at the latest state, between places around it, where components
+/// are singular: as far as these places are on two branches, not on one that goes through.
 void record_passage(BranchEquations & equations, const BranchPoint & point)
 {
-  equations.evaluate(point.q, point.rate);
   double gap = 0.0;
   for (const Component & part : equations.components) {
     for (Index i = 0; part.pivot <= REGULAR && i < part.rows; ++i) {
-      gap = std::max(gap, std::abs(equations.closure[equations.row(part, i)]));
+      gap = std::max(gap, std::abs(equations.gap(equations.row(part, i))));
     }
   }
   const Values & passage = equations.system.passage;
@@ -132,13 +148,11 @@ void record_passage(BranchEquations & equations, const BranchPoint & point)
 /// Find the branch through a state from places around it where components are singular; regular
 /// ones are evaluated at the state, the others being on their branches.
 bool find_through(
-  BranchEquations & equations, Values q, Values qd, const BranchPoint & point, bool multipliers)
+  BranchEquations & equations, Values q, Values qd, const BranchPoint & point)
 {
-  bool evaluates = multipliers;
   for (Component & part : equations.components) {
     if (part.pivot > REGULAR) {
       equations.count_moving(part);
-      evaluates = true;
     }
   }
   for (Component & part : equations.components) {
@@ -146,14 +160,18 @@ bool find_through(
       return false;
     }
   }
-  if (evaluates) {
-    equations.evaluate(point.q, point.rate);
-  }
+  equations.evaluate(point.q, point.rate);
   for (const Component & part : equations.components) {
     if (part.pivot > REGULAR) {
+      // Rates are those of the point itself.
+      const LaneValues bend = equations.rate;
       equations.factor(part);
-      equations.find_path_acceleration(part, point.path_acceleration);
-      equations.add_tangents(part, point.tangent, 1.0);
+      equations.find_path_acceleration(part, bend);
+      equations.add_tangents(part, point.tangent, FIRST);
+      for (Index k = 0; k < part.rows; ++k) {
+        const Index j = equations.column(part, k);
+        point.path_acceleration[j] = bend[j][0];
+      }
     }
   }
   return true;
@@ -196,7 +214,7 @@ bool accelerate_by_factors(
   begin();
   // Driven motions are elsewhere at other places.
   const bool driven = system.has_effects() && system.effects.motions.rows > 0;
-  bool found = !driven && find_through(equations, q, qd, point, multipliers);
+  bool found = !driven && find_through(equations, q, qd, point);
   if (found) {
     record_passage(equations, point);
   }
@@ -214,7 +232,7 @@ bool accelerate_on_branch(
 {
   const Workspace & work = system.work;
   const Values & health = work.health;
-  const Index size = work.size(), bodies = system.has_effects() ? work.body.rows : 0;
+  const Index size = work.size(), bodies = work.body.rows;
   const Index numbers = q.size + qd.size + bodies * size;
   const bool by_loops = system.table[routine::LOOP_EQUATIONS] == 0;
   if (!(system.settings->baumgarte_gain == 0.0 && system.lam.size < qd.size &&
@@ -235,7 +253,9 @@ bool accelerate_on_branch(
   Scratch<double, ROOM> scratch(numbers);
   // Forces of effects on bodies are those at the state itself.
   const Table added = scratch.take(bodies, size);
-  if (bodies > 0) {
+  if (!system.has_effects()) {
+    added.fill(0.0);
+  } else {
     bias_forces(work, added);
     place_bodies(system, q, qd);
     for (Index i = 0; i < bodies; ++i) {

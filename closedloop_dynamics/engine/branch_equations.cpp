@@ -5,6 +5,7 @@
 
 #include <algorithm>
 #include <cmath>
+#include <limits>
 
 #include "loop_closure.hpp"
 #include "manifold.hpp"
@@ -37,38 +38,102 @@ Index find(Indices root, Index j)
 }  // namespace
 
 BranchEquations::BranchEquations(const System & from)
-: scratch_(2 * from.lam.size * from.qdd.size + 6 * from.lam.size + 2 * from.qdd.size),
+: scratch_(
+    PLACES * (from.lam.size * (from.qdd.size + from.lam.size + 4) + 2 * from.qdd.size + from.nq()) +
+    from.lam.size * (from.qdd.size + 2) + from.qdd.size),
   counts_(2 * from.lam.size + 2 * from.qdd.size), parts_(from.lam.size), system(from),
-  nv(from.qdd.size), nc(from.lam.size), jac(scratch_.take(nc, nv)), closure(scratch_.take(nc)),
-  bias(scratch_.take(nc)), right(scratch_.take(nc)), row_scale(scratch_.take(nc)),
-  column_scale(scratch_.take(nv)), components(parts_.take(nc)), factor_(scratch_.take(nc, nv)),
-  local_(scratch_.take(nc)), pivot_scale_(scratch_.take(nc)), change_(scratch_.take(nv)),
-  row_(counts_.take(nc)), order_(counts_.take(nv)), pivot_row_(counts_.take(nc)), column_(counts_.take(nv))
+  nv(from.qdd.size), nc(from.lam.size), row_scale(scratch_.take(nc)),
+  column_scale(scratch_.take(nv)), place(take(from.nq())), rate(take(nv)),
+  components(parts_.take(nc)), jac_(take(nc, nv)), factor_(take(nc, nc)), closure_(take(nc)),
+  bias_(take(nc)), right_(take(nc)), local_(take(nc)), change_(take(nv)),
+  first_(scratch_.take(nc, nv)), pivot_scale_(scratch_.take(nc)), row_(counts_.take(nc)),
+  order_(counts_.take(nv)), pivot_row_(counts_.take(nc)), column_(counts_.take(nv))
 {
   std::copy(system.table.begin(), system.table.end(), table_.begin());
-  table_[routine::CLOSURE] = reinterpret_cast<Index>(closure.data);
-  table_[routine::BIAS] = reinterpret_cast<Index>(bias.data);
-  table_[routine::JACOBIAN] = reinterpret_cast<Index>(jac.data);
+  table_[routine::CLOSURE] = reinterpret_cast<Index>(closure_.data);
+  table_[routine::BIAS] = reinterpret_cast<Index>(bias_.data);
+  table_[routine::JACOBIAN] = reinterpret_cast<Index>(jac_.data);
 }
 
 void BranchEquations::evaluate(Values q, Values rates)
 {
-  if (table_[routine::LOOP_EQUATIONS] != 0) {
-    call({table_.data(), routine::TABLE_COLUMNS}, routine::LOOP_EQUATIONS, q, rates);
+  for (Index i = 0; i < q.size; ++i) {
+    place[i] = Lanes::of(q[i]);
+  }
+  for (Index i = 0; i < nv; ++i) {
+    rate[i] = Lanes::of(rates[i]);
+  }
+  evaluate(place, rate, 1);
+}
+
+void BranchEquations::evaluate(LaneValues q, LaneValues rates, Index count)
+{
+  // Not where angles are of many turns.
+  if (table_[routine::LOOP_EQUATIONS] != 0 && call(
+      {table_.data(), routine::TABLE_COLUMNS}, routine::LOOP_EQUATIONS, numbers(q),
+      numbers(rates)))
+  {
     return;
   }
   const Model & model = system.model;
-  outward(model, q, rates, system.work);
-  constraint_jacobian(model, system.work, jac);
-  to_user_order(model, system.work.closure, closure);
-  to_user_order(model, system.work.bias, bias);
+  Scratch<double, NUMBERS> scratch(q.size + nv + 2 * nc);
+  const Values here = scratch.take(q.size), going = scratch.take(nv);
+  const Values gaps = scratch.take(nc), terms = scratch.take(nc);
+  for (Index n = 0; n < count; ++n) {
+    const auto take_lane = [n](LaneValues from, Values to) {
+        for (Index i = 0; i < to.size; ++i) {
+          to[i] = from[i][n];
+        }
+      };
+    const auto put_lane = [n, count](Values from, LaneValues to) {
+        for (Index i = 0; i < from.size; ++i) {
+          for (Index lane = n; lane < (n + 1 == count ? PLACES : n + 1); ++lane) {
+            numbers(to)[PLACES * i + lane] = from[i];
+          }
+        }
+      };
+    take_lane(q, here);
+    take_lane(rates, going);
+    outward(model, here, going, system.work);
+    constraint_jacobian(model, system.work, first_);
+    to_user_order(model, system.work.closure, gaps);
+    to_user_order(model, system.work.bias, terms);
+    put_lane(first_.all(), jac_.all());
+    put_lane(gaps, closure_);
+    put_lane(terms, bias_);
+  }
+}
+
+void BranchEquations::evaluate_motion(
+  Values q, Values rates, Table added, Table gim, Values force)
+{
+  if (table_[routine::EQUATIONS_OF_MOTION] != 0) {
+    table_[routine::INERTIA_MATRIX] = reinterpret_cast<Index>(gim.data);
+    table_[routine::JOINT_FORCE] = reinterpret_cast<Index>(force.data);
+    table_[routine::ADDED_FORCE] = reinterpret_cast<Index>(added.data);
+    call({table_.data(), routine::TABLE_COLUMNS}, routine::EQUATIONS_OF_MOTION, q, rates);
+    return;
+  }
+  outward(system.model, q, rates, system.work);
+  add_forces(system.work, added);
+  generalized_inertia_matrix(system.model, system.work, gim);
+  const Values at_rest = numbers(change_).part(0, nv);
+  at_rest.fill(0.0);
+  tree_torque(system.model, system.work, at_rest, force);
+  for (Index i = 0; i < nv; ++i) {
+    force[i] = system.applied[i] - force[i];
+  }
 }
 
 bool BranchEquations::find_components()
 {
-  const Indexes & cut = system.model.cut;
+  const Model & model = system.model;
+  const Indexes & tree = model.tree, & cut = model.cut;
   const Indices & root = column_;
-  scales(system.model, jac, row_scale, column_scale);
+  for (Index n = 0; n < nc * nv; ++n) {
+    first_.data[n] = jac_.data[n][0];
+  }
+  scales(model, first_, row_scale, column_scale);
   for (Index j = 0; j < nv; ++j) {
     root[j] = j;
   }
@@ -76,12 +141,15 @@ bool BranchEquations::find_components()
   for (Index a = 0; a < cut.rows; ++a) {
     const Index begin = cut(a, cut::CUT_ROW), end = begin + cut(a, cut::ROWS);
     Index group = -1;
-    for (Index i = begin; i < end; ++i) {
-      for (Index j = 0; j < nv; ++j) {
-        if (std::abs(entry(i, j)) > FOREIGN) {
-          group = group < 0 ? find(root, j) : group;
-          root[find(root, j)] = group;
-        }
+    for (Index n = cut(a, cut::PATH_A); n < cut(a, cut::PATH_END); ++n) {
+      const Index j = tree(model.path_body[n], tree::DOF);
+      bool occurs = false;
+      for (Index i = begin; i < end; ++i) {
+        occurs = occurs || std::abs(entry(i, j)) > FOREIGN;
+      }
+      if (occurs) {
+        group = group < 0 ? find(root, j) : group;
+        root[find(root, j)] = group;
       }
     }
     if (group < 0) {
@@ -199,9 +267,9 @@ bool BranchEquations::is_isolated(const Component & part)
 
 void BranchEquations::factor(const Component & part)
 {
-  const Table matrix = square(part);
+  const LaneTable matrix = square(part);
   for (Index i = 0; i < part.rows; ++i) {
-    const double * from = jac.row(row(part, i));
+    const Lanes * from = jac_.row(row(part, i));
     for (Index k = 0; k < part.rows; ++k) {
       matrix(i, k) = from[column(part, k)];
     }
@@ -209,24 +277,24 @@ void BranchEquations::factor(const Component & part)
   factorize_in_place(matrix);
 }
 
-double BranchEquations::smallest_pivot(const Component & part) const
+Lanes BranchEquations::smallest_pivot(const Component & part) const
 {
-  const Table matrix = square(part);
-  double least = 0.0, most = 0.0;
+  const LaneTable matrix = square(part);
+  Lanes least, most;
   for (Index k = 0; k < part.rows; ++k) {
     // Inverses of pivots, scaled.
-    const double size = std::abs(matrix(k, k)) * pivot_scale_[part.row + k];
-    least = k == 0 || size < least ? size : least;
+    const Lanes size = pivot_scale_[part.row + k] * size_of(matrix(k, k));
+    least = k == 0 ? size : smaller(size, least);
     // Not a number: all comparisons fail.
-    most = size <= most ? most : size;
+    most = k == 0 ? size : larger(size, most);
   }
-  return least / most;
+  return least * (1.0 / most);
 }
 
 Index BranchEquations::factor_fully(
   const Component & part, double share, Indices rows, Indices columns, Table & out)
 {
-  out = {factor_.data, part.rows, part.columns};
+  out = {first_.data, part.rows, part.columns};
   for (Index i = 0; i < part.rows; ++i) {
     for (Index k = 0; k < part.columns; ++k) {
       out(i, k) = entry(row(part, i), column(part, k));
@@ -235,11 +303,11 @@ Index BranchEquations::factor_fully(
   return factorize_fully(out, rows, columns, share);
 }
 
-void BranchEquations::solve(const Component & part, Values out)
+void BranchEquations::solve(const Component & part, LaneValues out)
 {
-  const Values local = local_.part(0, part.rows);
+  const LaneValues local = local_.part(0, part.rows);
   for (Index i = 0; i < part.rows; ++i) {
-    local[i] = right[row(part, i)];
+    local[i] = right_[row(part, i)];
   }
   solve_in_place(square(part), local);
   for (Index k = 0; k < part.rows; ++k) {
@@ -249,82 +317,85 @@ void BranchEquations::solve(const Component & part, Values out)
 
 void BranchEquations::solve_transposed(const Component & part, Values force, Values out)
 {
-  const Values local = local_.part(0, part.rows);
+  const LaneValues local = local_.part(0, part.rows);
   for (Index k = 0; k < part.rows; ++k) {
-    local[k] = force[column(part, k)];
+    local[k] = Lanes::of(force[column(part, k)]);
   }
   closedloop::solve_transposed(square(part), local);
   for (Index i = 0; i < part.rows; ++i) {
-    out[row(part, i)] = local[i];
+    out[row(part, i)] = local[i][0];
   }
 }
 
-bool BranchEquations::settle(const Component & part, Values q, Values rates)
+bool BranchEquations::settle(const Component & part, LaneValues q, LaneValues rates)
 {
   const double size = system.settings->size;
-  double before = 0.0;
+  Lanes before = Lanes::of(std::numeric_limits<double>::infinity());
   for (Index count = 0; ; ++count) {
-    double error = 0.0;
+    Lanes error = Lanes::of(0.0);
     for (Index i = 0; i < part.rows; ++i) {
-      const double each = closure[row(part, i)];
-      error = std::abs(each) <= error ? error : std::abs(each);
-      right[row(part, i)] = -each;
+      const Lanes each = closure_[row(part, i)];
+      error = larger(size_of(each), error);
+      right_[row(part, i)] = -each;
     }
-    const bool shrinks = count == 0 || error < 0.5 * before;
+    // Places that are on the branch do not keep others from going there.
+    const Lanes left = smaller(error - Lanes::of(ROUNDING * size), 0.5 * before - error);
     factor(part);
-    if (error <= ROUNDING * size || !shrinks || count == MOST_CORRECTIONS) {
-      return error <= SETTLED * size;
+    if (!(largest(left) > 0.0) || count == MOST_CORRECTIONS) {
+      return largest(error) <= SETTLED * size;
     }
     before = error;
-    change_.fill(0.0);
+    change_.fill(Lanes::of(0.0));
     solve(part, change_);
-    move(system.manifold, q, change_, 1.0);
+    move(system.manifold, numbers(q), numbers(change_), 1.0, PLACES);
     evaluate(q, rates);
   }
 }
 
 void BranchEquations::follow(
-  const Component & part, Values q, Values rates, Values path_acceleration)
+  const Component & part, LaneValues q, LaneValues rates, LaneValues path_acceleration)
 {
-  bool known = true;
+  double most = 0.0;
   for (Index i = 0; i < part.rows; ++i) {
     const Index equation = row(part, i);
-    double total = 0.0, size = 0.0, dependent = 0.0;
+    Lanes total = Lanes::of(0.0), squares = total;
     for (Index k = 0; k < part.rows + part.moving; ++k) {
-      dependent = k == part.rows ? total : dependent;
-      const double each = jac(equation, column(part, k)) * rates[column(part, k)];
+      const Lanes each = jac_(equation, column(part, k)) * rates[column(part, k)];
       total += each;
-      size += std::abs(each);
+      squares += each * each;
     }
-    right[equation] = dependent - total;
-    known = known && std::abs(total) <= ROUNDING * size;
+    right_[equation] = -total;
+    most = std::max(most, largest(total * total - ROUNDING * ROUNDING * squares));
   }
   // On straight paths the rates that have been evaluated are those along the branch.
-  if (!known) {
-    solve(part, rates);
+  if (most > 0.0) {
+    solve(part, change_);
+    for (Index k = 0; k < part.rows; ++k) {
+      rates[column(part, k)] += change_[column(part, k)];
+    }
     evaluate(q, rates);
   }
   find_path_acceleration(part, path_acceleration);
 }
 
-void BranchEquations::find_path_acceleration(const Component & part, Values out)
+void BranchEquations::find_path_acceleration(const Component & part, LaneValues out)
 {
   for (Index i = 0; i < part.rows; ++i) {
-    right[row(part, i)] = -bias[row(part, i)];
+    right_[row(part, i)] = -bias_[row(part, i)];
   }
   solve(part, out);
 }
 
-void BranchEquations::add_tangents(const Component & part, Table out, double share)
+void BranchEquations::add_tangents(const Component & part, Table out, Lanes share)
 {
-  for (Index k = 0; k < part.moving && share != 0.0; ++k) {
+  for (Index k = 0; k < part.moving; ++k) {
     const Index j = independent(part, k);
     for (Index i = 0; i < part.rows; ++i) {
-      right[row(part, i)] = -jac(row(part, i), j);
+      right_[row(part, i)] = -jac_(row(part, i), j);
     }
     solve(part, change_);
     for (Index m = 0; m < part.rows; ++m) {
-      out(j, column(part, m)) += share * change_[column(part, m)];
+      out(j, column(part, m)) += (share * change_[column(part, m)]).sum();
     }
   }
 }

@@ -7,6 +7,7 @@
 #include <array>
 
 #include "columns.hpp"
+#include "places.hpp"
 #include "scratch.hpp"
 #include "data.hpp"
 
@@ -35,15 +36,21 @@ struct BranchPoint
   Table tangent;
 };
 
-/// The closure equations, component by component. `jac`, `closure` and `bias` are those of the latest
-/// place, in the user's order.
+/// The closure equations, component by component, at several places at once: at the latest ones, in
+/// the user's order. Where a single state is evaluated it is at all places; what is of one place is
+/// of the first.
 class BranchEquations
 {
 public:
   explicit BranchEquations(const System &);
 
-  /// Evaluate closure errors, J and constraint bias at a place.
+  /// Evaluate closure errors, J and constraint bias at places, or at the first one for all.
+  void evaluate(LaneValues q, LaneValues rates, Index count = PLACES);
+  /// The same at a state, which is kept in `place` and `rate`.
   void evaluate(Values q, Values rates);
+  /// Evaluate the inertia matrix of the trees, and what of the forces in joints accelerates them;
+  /// `added`, shape (bodies, components): forces on the bodies beside those of their motion.
+  void evaluate_motion(Values q, Values rates, Table added, Table gim, Values force);
   /// Scale the equations as they are at the latest place, and group them; false where an equation
   /// has no coordinate.
   bool find_components();
@@ -58,25 +65,28 @@ public:
   bool is_isolated(const Component &);
   /// Factor the equations' derivatives by the dependent coordinates at the latest place.
   void factor(const Component &);
-  /// The smallest pivot of these factors against the largest.
-  double smallest_pivot(const Component &) const;
+  /// The smallest pivots of these factors against the largest.
+  Lanes smallest_pivot(const Component &) const;
   /// The same by all coordinates, with complete pivoting, down to a share of the first pivot; return
   /// the rank and the factors.
   Index factor_fully(const Component &, double share, Indices rows, Indices columns, Table & out);
   /// Changes of the dependent coordinates that change the equations by `right`.
-  void solve(const Component &, Values out);
+  void solve(const Component &, LaneValues out);
   /// Multipliers of the equations, shape (nc,), that give the dependent coordinates these forces.
   void solve_transposed(const Component &, Values force, Values out);
-  /// Bring a place onto the branch, in place, from its evaluation; return whether it is there, then
-  /// with evaluation and factors.
-  bool settle(const Component &, Values q, Values rates);
-  /// Rates and accelerations of the dependent coordinates at the latest place, factored, from the
+  /// Bring places onto the branch, in place, from their evaluation; return whether they are there,
+  /// then with evaluation and factors.
+  bool settle(const Component &, LaneValues q, LaneValues rates);
+  /// Rates and accelerations of the dependent coordinates at the latest places, factored, from the
   /// rates of the independent ones; evaluates the equations with these rates.
-  void follow(const Component &, Values q, Values rates, Values path_acceleration);
+  void follow(const Component &, LaneValues q, LaneValues rates, LaneValues path_acceleration);
   /// Accelerations of the dependent coordinates that keep the loops closed.
-  void find_path_acceleration(const Component &, Values out);
-  /// Add a share of the derivatives of the dependent coordinates by the independent ones.
-  void add_tangents(const Component &, Table out, double share);
+  void find_path_acceleration(const Component &, LaneValues out);
+  /// Add the derivatives of the dependent coordinates by the independent ones, a share of each
+  /// place's.
+  void add_tangents(const Component &, Table out, Lanes share);
+  /// Closure error of an equation.
+  double gap(Index i) const {return closure_[i][0];}
 
   /// An equation, a coordinate and an independent coordinate of a component.
   Index row(const Component & part, Index i) const {return row_[part.row + i];}
@@ -84,11 +94,16 @@ public:
   Index independent(const Component & part, Index k) const {return column(part, part.rows + k);}
 
 private:
-  double entry(Index i, Index j) const {return jac(i, j) * row_scale[i] * column_scale[j];}
-  Table square(const Component & part) const {return {factor_.data, part.rows, part.rows};}
+  double entry(Index i, Index j) const
+  {
+    return jac_(i, j)[0] * row_scale[i] * column_scale[j];
+  }
+  LaneTable square(const Component & part) const {return {factor_.data, part.rows, part.rows};}
+  LaneValues take(Index count) {return {&Lanes::at(scratch_.take(PLACES * count).data), count};}
+  LaneTable take(Index rows, Index columns) {return {take(rows * columns).data, rows, columns};}
 
   // Numbers, counts and components that fit on the stack.
-  static constexpr Index NUMBERS = 1024, COUNTS = 64, MOST_PARTS = 8;
+  static constexpr Index NUMBERS = 2048, COUNTS = 64, MOST_PARTS = 8;
   Scratch<double, NUMBERS> scratch_;
   Scratch<Index, COUNTS> counts_;
   Scratch<Component, MOST_PARTS> parts_;
@@ -96,13 +111,15 @@ private:
 public:
   const System & system;
   const Index nv, nc;
-  const Table jac;
-  const Values closure, bias, right, row_scale, column_scale;
+  const Values row_scale, column_scale;
+  const LaneValues place, rate;
   Vector<Component> components;
 
 private:
-  const Table factor_;
-  const Values local_, pivot_scale_, change_;
+  const LaneTable jac_, factor_;
+  const LaneValues closure_, bias_, right_, local_, change_;
+  const Table first_;
+  const Values pivot_scale_;
   // Equations and coordinates, component by component; scratch.
   const Indices row_, order_, pivot_row_, column_;
   // With the addresses of these arrays.

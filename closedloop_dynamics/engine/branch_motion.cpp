@@ -70,7 +70,8 @@ Index find_some_multipliers(
 
 /// Find the multipliers with these joint forces, those of the least forces where equations vanish;
 /// return the rank of the equations.
-Index find_multipliers(BranchEquations & equations, Values force)
+Index find_multipliers(
+  BranchEquations & equations, const BranchPoint & point, Table added, Values force)
 {
   const System & system = equations.system;
   const Model & model = system.model;
@@ -82,7 +83,7 @@ Index find_multipliers(BranchEquations & equations, Values force)
     if (part.pivot > 0.0) {
       equations.factor(part);
     }
-    if (part.pivot > 0.0 && equations.smallest_pivot(part) > VANISHED) {
+    if (part.pivot > 0.0 && equations.smallest_pivot(part)[0] > VANISHED) {
       equations.solve_transposed(part, force, system.lam);
       rank += part.rows;
     } else {
@@ -95,7 +96,9 @@ Index find_multipliers(BranchEquations & equations, Values force)
   if (idle > 0) {
     // Where the elimination works on some equations, forces are least of all of them, later.
     const JointPlaces joints = system.whole.empty() ? system.joints : JointPlaces();
+    place_bodies(system, point.q, point.rate);
     if (joints.body.rows > 0) {
+      add_forces(work, added);
       bias_forces(work, work.force);
       joint_wrenches(model, work, system.qdd, system.lam, work.force);
     }
@@ -111,8 +114,6 @@ bool accelerate_along(
   BranchEquations & equations, const BranchPoint & point, Table added, bool multipliers)
 {
   const System & system = equations.system;
-  const Model & model = system.model;
-  const Workspace & work = system.work;
   const Index nv = equations.nv, freedoms = nv - equations.nc;
   Scratch<double, NUMBERS> scratch(nv * (nv + 1) + freedoms * (nv + freedoms + 1));
   Scratch<Index, COUNTS> counts(nv);
@@ -132,31 +133,19 @@ bool accelerate_along(
       independent[k++] = j;
     }
   }
-  place_bodies(system, point.q, point.rate);
-  add_forces(work, added);
-  generalized_inertia_matrix(model, work, gim);
-  tree_torque(model, work, point.path_acceleration, force);
+  equations.evaluate_motion(point.q, point.rate, added, gim, force);
+  // Those of the constraints.
   for (Index i = 0; i < nv; ++i) {
-    force[i] -= system.applied[i];
+    force[i] = dot(gim[i], point.path_acceleration) - force[i];
   }
   for (Index k = 0; k < freedoms; ++k) {
     const Values tangent = point.tangent[independent[k]];
-    push[k] = 0.0;
-    carried[k].fill(0.0);
+    push[k] = -dot(tangent, force);
     for (Index i = 0; i < nv; ++i) {
-      if (tangent[i] != 0.0) {
-        push[k] -= tangent[i] * force[i];
-        for (Index j = 0; j < nv; ++j) {
-          carried(k, j) += tangent[i] * gim(i, j);
-        }
-      }
+      carried(k, i) = dot(gim[i], tangent);
     }
     for (Index m = 0; m <= k; ++m) {
-      const Values other = point.tangent[independent[m]];
-      inertia(k, m) = 0.0;
-      for (Index i = 0; i < nv; ++i) {
-        inertia(k, m) += other[i] * carried(k, i);
-      }
+      inertia(k, m) = dot(point.tangent[independent[m]], carried[k]);
     }
   }
   if (!factorize_positive(inertia)) {
@@ -172,7 +161,8 @@ bool accelerate_along(
     }
   }
   if (multipliers) {
-    work.health[health::RANK] = static_cast<double>(find_multipliers(equations, force));
+    system.work.health[health::RANK] =
+      static_cast<double>(find_multipliers(equations, point, added, force));
   }
   return true;
 }

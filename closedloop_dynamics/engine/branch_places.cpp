@@ -14,10 +14,11 @@ namespace closedloop
 
 namespace
 {
-// Places on the branch, in units of the distance between them, in the order of evaluation. With
-// slopes along the branch, four places interpolate as well as eight.
-constexpr Index MOST_PLACES = 8, SLOPED_PLACES = 4;
-constexpr double PLACES[MOST_PLACES] = {1.0, -1.0, 2.0, -2.0, 3.0, -3.0, 4.0, -4.0};
+// Places on the branch, in units of the distance between them, side by side; the second ones are
+// extrapolated from the first. With slopes along the branch, four places interpolate as well as
+// eight.
+constexpr Index MOST_PLACES = 2 * PLACES, SLOPED_PLACES = PLACES;
+constexpr double NEAREST_PLACES[PLACES] = {1.0, -1.0, 2.0, -2.0};
 // Weights of a quantity's values at them, by which a polynomial gives it at the state; and of the
 // slopes, which are of opposite sign behind. Errors are of the eighth power of the distance.
 constexpr double VALUE[MOST_PLACES] = {
@@ -48,7 +49,7 @@ constexpr double BESIDE = 0.1, OTHER_RATE = 0.01, APART = 1e-6;
 // A component is at rest if it needs longer than this to turn by a radian [s].
 constexpr double RESTING = 1e6;
 // Numbers that fit on the stack.
-constexpr Index NUMBERS = 1024;
+constexpr Index NUMBERS = 2048;
 
 /// The branch through a state. In each component of the mechanism the independent coordinates are
 /// linear functions of the parameter, and the closure equations determine the others. The parameter
@@ -59,12 +60,13 @@ public:
   Branch(BranchEquations & equations, Values q, Values qd, const BranchPoint & point)
   : equations_(equations), system_(equations.system), q_(q), qd_(qd), point_(point),
     scratch_(
-      MOST_PLACES * (q.size + 2 * qd.size) + qd.size * qd.size + 3 * qd.size),
-    places_(scratch_.take(MOST_PLACES, q.size)), rates_(scratch_.take(MOST_PLACES, qd.size)),
-    bends_(scratch_.take(MOST_PLACES, qd.size)),
-    tangents_of_fewer_(scratch_.take(qd.size, qd.size)), change_(scratch_.take(qd.size)),
-    other_(scratch_.take(qd.size)), slower_(scratch_.take(qd.size))
+      PLACES * (2 * q.size + 5 * qd.size) + qd.size * qd.size + 3 * qd.size),
+    change_(take(qd.size)), tangents_of_fewer_(scratch_.take(qd.size, qd.size)),
+    moved_(scratch_.take(qd.size)), other_(scratch_.take(qd.size)), slower_(scratch_.take(qd.size))
   {
+    for (Places & each : places_) {
+      each = {take(q.size), take(qd.size), take(qd.size)};
+    }
   }
 
   /// Interpolate a component's position, rates, accelerations and tangents at the state.
@@ -75,27 +77,41 @@ public:
   }
 
 private:
-  /// Put a place where the rates lead to, with these rates.
-  void go_straight(const Component & part, Index n)
+  /// Positions, rates and accelerations at places side by side.
+  struct Places {LaneValues q, rates, bends;};
+
+  LaneValues take(Index count)
   {
-    const Values rates = rates_[n];
-    rates.fill(0.0);
-    for (Index k = 0; k < part.columns; ++k) {
-      const Index j = equations_.column(part, k);
-      rates[j] = step_ * qd_[j];
-    }
-    copy(q_, places_[n]);
-    move(system_.manifold, places_[n], rates, n == 0 ? 1.0 : -1.0);
+    return {&Lanes::at(scratch_.take(PLACES * count).data), count};
   }
 
-  /// Find the first place, far enough from the state that the equations are independent there.
+  /// Put the first places where the rates lead to, with these rates, and evaluate the equations.
+  void go_straight(const Component & part)
+  {
+    const Places & at = places_[0];
+    at.rates.fill(Lanes::of(0.0));
+    change_.fill(Lanes::of(0.0));
+    for (Index k = 0; k < part.columns; ++k) {
+      const Index j = equations_.column(part, k);
+      at.rates[j] = Lanes::of(step_ * qd_[j]);
+      change_[j] = at.rates[j] * Lanes::at(NEAREST_PLACES);
+    }
+    for (Index i = 0; i < q_.size; ++i) {
+      at.q[i] = Lanes::of(q_[i]);
+    }
+    move(system_.manifold, numbers(at.q), numbers(change_), 1.0, PLACES);
+    equations_.evaluate(at.q, at.rates);
+  }
+
+  /// Find the first places, far enough from the state that the equations are independent there.
   bool find_first(Component & part)
   {
     double fastest = 0.0, longest = 0.0;
     for (Index k = 0; k < part.columns; ++k) {
       const Index j = equations_.column(part, k);
-      fastest = std::max(fastest, std::abs(qd_[j]) / equations_.column_scale[j]);
-      longest = std::max(longest, 1.0 / equations_.column_scale[j]);
+      const double lever = 1.0 / equations_.column_scale[j];
+      fastest = std::max(fastest, std::abs(qd_[j]) * lever);
+      longest = std::max(longest, lever);
     }
     // As if the longest lever turned.
     const double aside = system_.settings->aside;
@@ -103,14 +119,14 @@ private:
     if (!(step_ < SLOPED_ASIDE * RESTING * aside)) {
       return false;
     }
+    const Places & at = places_[0];
     for (int attempt = 0; ; ++attempt) {
-      go_straight(part, 0);
-      equations_.evaluate(places_[0], rates_[0]);
+      go_straight(part);
       // Pivots that are not rounding are in one order at the state and here.
       const bool chosen = (attempt == 0 && part.pivot > 0.0) ||
         equations_.choose(part, LEAST) > 0.0;
-      const double pivot = chosen && equations_.settle(part, places_[0], rates_[0]) ?
-        equations_.smallest_pivot(part) : 0.0;
+      const double pivot = chosen && equations_.settle(part, at.q, at.rates) ?
+        equations_.smallest_pivot(part)[0] : 0.0;
       if (pivot >= ENOUGH || (pivot >= LEAST && attempt > 0)) {
         break;
       }
@@ -130,12 +146,11 @@ private:
     }
     if (part.moving > 1) {
       step_ /= SLOPED_ASIDE;
-      go_straight(part, 0);
-      equations_.evaluate(places_[0], rates_[0]);
+      go_straight(part);
       for (Index k = 0; k < part.moving; ++k) {
         tangents_of_fewer_[equations_.independent(part, k)].fill(0.0);
       }
-      if (!equations_.settle(part, places_[0], rates_[0])) {
+      if (!equations_.settle(part, at.q, at.rates)) {
         return false;
       }
     }
@@ -145,69 +160,65 @@ private:
   /// Find the other places, each extrapolated from two.
   bool find_others(const Component & part)
   {
-    count_ = part.moving == 1 ? SLOPED_PLACES : MOST_PLACES;
-    for (Index n = 1; n < count_; ++n) {
-      if (n == 1) {
-        go_straight(part, n);
-        // The cubic curve with the rates at the state and the first place, and its bends.
-        change_.fill(0.0);
-        for (Index k = 0; k < part.rows; ++k) {
-          const Index j = equations_.column(part, k);
-          change_[j] =
-            4.0 / 3.0 * (rates_(0, j) - step_ * qd_[j]) - 5.0 / 6.0 * bends_(0, j);
-        }
-      } else {
-        predict(part, n, n < 4 ? 3 - n : n - 4, n - 2);
-      }
-      move(system_.manifold, places_[n], change_, 1.0);
-      equations_.evaluate(places_[n], rates_[n]);
-      if (!(equations_.settle(part, places_[n], rates_[n]) && keep(part, n))) {
+    count_ = part.moving == 1 ? 1 : 2;
+    if (count_ == 1) {
+      return true;
+    }
+    predict(part);
+    const Places & at = places_[1];
+    equations_.evaluate(at.q, at.rates);
+    return equations_.settle(part, at.q, at.rates) && keep(part, 1);
+  }
+
+  /// Store settled places with rates and accelerations along the branch, and the tangents.
+  bool keep(const Component & part, Index n)
+  {
+    const Lanes pivot = equations_.smallest_pivot(part);
+    pivot_ = n == 0 ? pivot[0] : pivot_;
+    for (Index lane = 0; lane < PLACES; ++lane) {
+      if (!(pivot[lane] >= SMALLER * pivot_)) {
         return false;
       }
     }
-    return true;
-  }
-
-  /// Store a settled place with rates and accelerations along the branch, and the tangents.
-  bool keep(const Component & part, Index n)
-  {
-    const double pivot = equations_.smallest_pivot(part);
-    if (n == 0) {
-      pivot_ = pivot;
-    }
-    if (!(pivot >= SMALLER * pivot_)) {
-      return false;
-    }
-    bends_[n].fill(0.0);
+    const Places & at = places_[n];
+    at.bends.fill(Lanes::of(0.0));
     if (part.moving > 1) {
-      equations_.add_tangents(part, point_.tangent, VALUE[n]);
-      equations_.add_tangents(part, tangents_of_fewer_, FEWER_VALUES[n]);
+      equations_.add_tangents(part, point_.tangent, Lanes::at(VALUE + PLACES * n));
+      equations_.add_tangents(part, tangents_of_fewer_, Lanes::at(FEWER_VALUES + PLACES * n));
     }
-    equations_.follow(part, places_[n], rates_[n], bends_[n]);
+    equations_.follow(part, at.q, at.rates, at.bends);
     return true;
   }
 
-  /// Extrapolate from a place by Hermite interpolation of the rates there and at another one.
-  void predict(const Component & part, Index n, Index other, Index from)
+  /// Extrapolate from the two places on each side by Hermite interpolation of the rates there, to
+  /// one and two distances beyond.
+  void predict(const Component & part)
   {
-    const double width = PLACES[from] - PLACES[other], s = (PLACES[n] - PLACES[from]) / width;
-    const double s2 = s * s, s3 = s2 * s, s4 = s2 * s2;
-    // Integrals of Hermite's polynomials in s, from 0 at `from` to s; -1 is the other place.
-    const double value = s - s3 - 0.5 * s4, slope = 0.5 * s2 + 2.0 / 3.0 * s3 + 0.25 * s4;
-    const double other_value = s3 + 0.5 * s4, other_slope = s3 / 3.0 + 0.25 * s4;
-    copy(places_[from], places_[n]);
-    copy(rates_[from], rates_[n]);
-    change_.fill(0.0);
+    // Integrals of Hermite's polynomials from the farther place on; and the way there.
+    constexpr double VALUE_HERE[] = {-0.5, -0.5, -14.0, -14.0};
+    constexpr double VALUE_BEFORE[] = {1.5, 1.5, 16.0, 16.0};
+    constexpr double SLOPE_HERE[] = {17.0 / 12.0, 17.0 / 12.0, 34.0 / 3.0, 34.0 / 3.0};
+    constexpr double SLOPE_BEFORE[] = {7.0 / 12.0, 7.0 / 12.0, 20.0 / 3.0, 20.0 / 3.0};
+    constexpr double SIDE[] = {1.0, -1.0, 1.0, -1.0}, WAY[] = {1.0, -1.0, 2.0, -2.0};
+    const Places & from = places_[0], & to = places_[1];
+    const auto farther = [](Lanes each) {return Lanes{each.high, each.high};};
+    const auto nearer = [](Lanes each) {return Lanes{each.low, each.low};};
+    for (Index i = 0; i < q_.size; ++i) {
+      to.q[i] = farther(from.q[i]);
+    }
+    change_.fill(Lanes::of(0.0));
+    for (Index j = 0; j < qd_.size; ++j) {
+      to.rates[j] = farther(from.rates[j]);
+    }
     for (Index k = 0; k < part.columns; ++k) {
       const Index j = equations_.column(part, k);
-      change_[j] = width * (
-        value * rates_(from, j) + other_value * rates_(other, j) +
-        width * (slope * bends_(from, j) + other_slope * bends_(other, j)));
+      change_[j] = k >= part.rows ? Lanes::at(WAY) * to.rates[j] : Lanes::at(SIDE) * (
+        Lanes::at(VALUE_HERE) * to.rates[j] +
+        Lanes::at(VALUE_BEFORE) * nearer(from.rates[j])) +
+        Lanes::at(SLOPE_HERE) * farther(from.bends[j]) +
+        Lanes::at(SLOPE_BEFORE) * nearer(from.bends[j]);
     }
-    for (Index k = 0; k < part.columns - part.rows; ++k) {
-      const Index j = equations_.independent(part, k);
-      change_[j] = (PLACES[n] - PLACES[from]) * rates_(from, j);
-    }
+    move(system_.manifold, numbers(to.q), numbers(change_), 1.0, PLACES);
   }
 
   /// Largest of the kinematically determined coordinates, as lengths.
@@ -215,7 +226,8 @@ private:
   {
     double found = 0.0;
     for (Index k = 0; k < part.rows; ++k) {
-      const double size = std::abs(values[equations_.column(part, k)]) / equations_.column_scale[equations_.column(part, k)];
+      const Index j = equations_.column(part, k);
+      const double size = std::abs(values[j]) / equations_.column_scale[j];
       found = size <= found ? found : size;
     }
     return found;
@@ -225,36 +237,46 @@ private:
   /// the branch, or where the polynomials disagree.
   bool interpolate_state(const Component & part)
   {
-    const bool sloped = count_ == SLOPED_PLACES, whole = system_.manifold.empty();
+    const bool sloped = count_ == 1, whole = system_.manifold.empty();
     double fastest = 0.0, sharpest = 0.0, longest = 0.0;
     for (Index k = 0; k < part.rows; ++k) {
       const Index j = equations_.column(part, k);
       const double lever = 1.0 / equations_.column_scale[j];
-      double place = 0.0, rate = 0.0, second = 0.0, fewer = 0.0, steep = 0.0, sharp = 0.0;
+      Lanes place = Lanes::of(0.0), rate = place, second = place, fewer = place;
+      Lanes steep = place, sharp = place;
       for (Index n = 0; n < count_; ++n) {
-        const double along = rates_(n, j), across = bends_(n, j);
-        const double value = sloped ? VALUE_BY_SLOPES[n] : VALUE[n];
-        const double slope = sloped ? SLOPE_FOR_VALUE[n] : 0.0;
-        place += whole ? value * (places_(n, j) - q_[j]) + slope * along : 0.0;
-        rate += value * along + slope * across;
-        second += sloped ? VALUE_FOR_SLOPE[n] * along + SLOPE_BY_VALUES[n] * across :
-          value * across;
-        fewer += sloped ? FEWER_FOR_SLOPE[n] * along + FEWER_SLOPES[n] * across :
-          FEWER_VALUES[n] * across;
-        steep = std::max(steep, std::abs(along));
-        sharp = std::max(sharp, std::abs(across));
+        const Lanes along = places_[n].rates[j], across = places_[n].bends[j];
+        const Lanes value = Lanes::at(sloped ? VALUE_BY_SLOPES : VALUE + PLACES * n);
+        if (whole) {
+          place += value * (places_[n].q[j] - Lanes::of(q_[j]));
+        }
+        rate += value * along;
+        if (sloped) {
+          const Lanes slope = Lanes::at(SLOPE_FOR_VALUE);
+          if (whole) {
+            place += slope * along;
+          }
+          rate += slope * across;
+          second += Lanes::at(VALUE_FOR_SLOPE) * along + Lanes::at(SLOPE_BY_VALUES) * across;
+          fewer += Lanes::at(FEWER_FOR_SLOPE) * along + Lanes::at(FEWER_SLOPES) * across;
+        } else {
+          second += value * across;
+          fewer += Lanes::at(FEWER_VALUES + PLACES * n) * across;
+        }
+        steep = larger(size_of(along), steep);
+        sharp = larger(size_of(across), sharp);
       }
-      fastest = std::max(fastest, lever * steep);
-      sharpest = std::max(sharpest, lever * sharp);
+      fastest = std::max(fastest, lever * largest(steep));
+      sharpest = std::max(sharpest, lever * largest(sharp));
       longest = std::max(longest, lever);
-      point_.q[j] += place;
-      point_.rate[j] = rate / step_;
-      point_.path_acceleration[j] = second / (step_ * step_);
-      change_[j] = place;
-      other_[j] = fewer - second;
-      slower_[j] = rate - step_ * qd_[j];
+      moved_[j] = place.sum();
+      other_[j] = (fewer - second).sum();
+      slower_[j] = rate.sum() - step_ * qd_[j];
+      point_.q[j] += moved_[j];
+      point_.rate[j] = rate.sum() / step_;
+      point_.path_acceleration[j] = second.sum() / (step_ * step_);
     }
-    return most(part, change_) <= BESIDE * fastest && most(part, slower_) <= OTHER_RATE * fastest &&
+    return most(part, moved_) <= BESIDE * fastest && most(part, slower_) <= OTHER_RATE * fastest &&
            most(part, other_) <= APART * std::max(sharpest, fastest * fastest / longest);
   }
 
@@ -286,10 +308,12 @@ private:
   const Values q_, qd_;
   const BranchPoint & point_;
   Scratch<double, NUMBERS> scratch_;
-  const Table places_, rates_, bends_, tangents_of_fewer_;
-  const Values change_, other_, slower_;
+  const LaneValues change_;
+  const Table tangents_of_fewer_;
+  const Values moved_, other_, slower_;
+  Places places_[2];
   double step_ = 0.0, pivot_ = 0.0;
-  Index count_ = 0;
+  Index count_ = 0;  // Of those that are used
 };
 }  // namespace
 

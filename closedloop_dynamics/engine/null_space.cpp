@@ -260,8 +260,14 @@ void loop_units(const Model & model, Indices places, Table jac, Values rows, Val
 
 void scales(const Model & model, Table jac, Values row_scale, Values column_scale)
 {
-  const Index nv = jac.columns;
   const Indexes & tree = model.tree, & cut = model.cut;
+  // The coordinates in the equations of a cut joint are those of its path.
+  const auto for_each_on_path = [&model, &tree, &cut](Index a, auto && visit) {
+      for (Index entry = cut(a, cut::PATH_A); entry < cut(a, cut::PATH_END); ++entry) {
+        const Index body = model.path_body[entry];
+        visit(tree(body, tree::DOF), tree(body, tree::TYPE));
+      }
+    };
   // Their inverses in the end.
   const Values & lever = column_scale;
   lever.fill(0.0);
@@ -271,25 +277,23 @@ void scales(const Model & model, Table jac, Values row_scale, Values column_scal
   for (Index a = 0; a < cut.rows; ++a) {
     const Index first = cut(a, cut::CUT_ROW), last = first + cut(a, cut::LENGTHS);
     double here = 0.0;
-    for (Index body = 1; body < tree.rows; ++body) {
-      if (tree(body, tree::TYPE) != tree::PRISMATIC) {
-        for (Index i = first; i < last; ++i) {
-          here = std::max(here, std::abs(jac(i, tree(body, tree::DOF))));
+    for_each_on_path(a, [&](Index j, Index type) {
+        for (Index i = first; type != tree::PRISMATIC && i < last; ++i) {
+          here = std::max(here, std::abs(jac(i, j)));
         }
-      }
-    }
+      });
     if (!(here > SHORTEST * largest)) {
       // Only then it can be less than that of its own loop.
       here = std::max(here, SHORTEST * loop_size(model, a, largest));
     }
     longest = std::max(longest, here);
-    for (Index i = first; i < last; ++i) {
-      for (Index j = 0; j < nv; ++j) {
-        if (std::abs(jac(i, j)) > NOTHING * here) {
-          lever[j] = std::max(lever[j], here);
+    for_each_on_path(a, [&](Index j, Index) {
+        for (Index i = first; i < last; ++i) {
+          if (std::abs(jac(i, j)) > NOTHING * here) {
+            lever[j] = std::max(lever[j], here);
+          }
         }
-      }
-    }
+      });
   }
   for (Index body = 1; body < tree.rows; ++body) {
     const Index j = tree(body, tree::DOF);
@@ -307,11 +311,11 @@ void scales(const Model & model, Table jac, Values row_scale, Values column_scal
     const Index ends[3] = {first, first + together, first + cut(a, cut::ROWS)};
     for (int group = 0; group < 2; ++group) {
       double most = 0.0;
-      for (Index i = ends[group]; i < ends[group + 1]; ++i) {
-        for (Index j = 0; j < nv; ++j) {
-          most = std::max(most, std::abs(jac(i, j)) * column_scale[j]);
-        }
-      }
+      for_each_on_path(a, [&](Index j, Index) {
+          for (Index i = ends[group]; i < ends[group + 1]; ++i) {
+            most = std::max(most, std::abs(jac(i, j)) * column_scale[j]);
+          }
+        });
       for (Index i = ends[group]; i < ends[group + 1]; ++i) {
         row_scale[i] = most > NOTHING ? 1.0 / most : 1.0;
       }

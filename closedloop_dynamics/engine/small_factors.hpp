@@ -10,6 +10,7 @@
 #include <utility>
 
 #include "array.hpp"
+#include "places.hpp"
 
 // Factors of matrices of a few rows, in place, to be inlined where they are used.
 
@@ -168,14 +169,15 @@ inline void for_each_row_back(Rows rows, Function && function)
 }
 
 /// Factor a square matrix in place, its pivots in their places, replaced by their inverses.
-inline void factorize_in_place(Table matrix)
+inline void factorize_in_place(LaneTable matrix)
 {
   with_rows(matrix.rows, [a = matrix.data](auto n) {
       for_each_row(n, [&](auto k) {
-        const double inverse = 1.0 / a[k * n + k];
+        const Lanes inverse = 1.0 / a[k * n + k];
         a[k * n + k] = inverse;
         for_each_row_after(k, n, [&](auto i) {
-          const double scale = a[i * n + k] *= inverse;
+          a[i * n + k] *= inverse;
+          const Lanes scale = a[i * n + k];
           for_each_row_after(k, n, [&](auto j) {a[i * n + j] -= scale * a[k * n + j];});
         });
       });
@@ -183,30 +185,32 @@ inline void factorize_in_place(Table matrix)
 }
 
 /// Solve with these factors in place.
-inline void solve_in_place(Table factor, Values right)
+inline void solve_in_place(LaneTable factor, LaneValues right)
 {
   with_rows(factor.rows, [a = factor.data, x = right.data](auto n) {
       for_each_row(n, [&](auto k) {
-        const double value = x[k];
+        const Lanes value = x[k];
         for_each_row_after(k, n, [&](auto i) {x[i] -= a[i * n + k] * value;});
       });
       for_each_row_back(n, [&](auto k) {
-        const double value = x[k] *= a[k * n + k];
+        x[k] *= a[k * n + k];
+        const Lanes value = x[k];
         for_each_row_before(k, n, [&](auto i) {x[i] -= a[i * n + k] * value;});
       });
     });
 }
 
 /// The same with the transpose of the matrix.
-inline void solve_transposed(Table factor, Values right)
+inline void solve_transposed(LaneTable factor, LaneValues right)
 {
   with_rows(factor.rows, [a = factor.data, x = right.data](auto n) {
       for_each_row(n, [&](auto i) {
-        const double value = x[i] *= a[i * n + i];
+        x[i] *= a[i * n + i];
+        const Lanes value = x[i];
         for_each_row_after(i, n, [&](auto k) {x[k] -= a[i * n + k] * value;});
       });
       for_each_row_back(n, [&](auto i) {
-        const double value = x[i];
+        const Lanes value = x[i];
         for_each_row_before(i, n, [&](auto k) {x[k] -= a[i * n + k] * value;});
       });
     });

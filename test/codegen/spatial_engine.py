@@ -95,6 +95,26 @@ def loop_equations(model, q, qd):
             _array(outputs, calls.JACOBIAN, nc * nv).reshape(nc, nv))
 
 
+def motion_with_forces(model, q, qd, tau):
+    """
+    Return the equations of motion with forces on the bodies, and what accelerations go with these.
+
+    Returns
+    -------
+    matrix, right, qdd, lam : ndarray
+        Inertia matrix, joint forces less those of the motion, accelerations and multipliers.
+
+    """
+    nv, nc, trace = len(model.tree) - 1, len(model.column) - 1, routines.MechanismTrace
+    inputs = inputs_with_forces(model, q, qd, tau)
+    inputs[calls.ADDED_FORCE] = np.tile(np.linspace(-0.7, 0.8, 6), (nv + 1, 1))
+    moved, _ = interpret(trace(model).routine(calls.ACCELERATION), inputs)
+    found, _ = interpret(trace(model).routine(calls.EQUATIONS_OF_MOTION), inputs)
+    return (_array(found, calls.INERTIA_MATRIX, nv * nv).reshape(nv, nv),
+            _array(found, calls.JOINT_FORCE, nv), _array(moved, calls.QDD, nv),
+            _array(moved, calls.LAM, nc))
+
+
 class SpatialEngine:
     """
     A model in space and its unrolled evaluation.

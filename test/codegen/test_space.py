@@ -16,7 +16,7 @@ from closedloop_dynamics.mechanism.mechanism import (
 import numpy as np
 import pytest
 
-from .spatial_engine import SpatialEngine
+from .spatial_engine import motion_with_forces, SpatialEngine
 from ..reference import cases, spatial_linkages, spatial_machines, spatial_maximal as twin
 from ..reference.compare import assert_agree, IDENTITY
 from ..reference.numbers import Numbers
@@ -48,6 +48,9 @@ def test_random_mechanisms_move_as_in_maximal_coordinates(seed):
     assert rank == engine.nc
     assert_agree(again, qdd, 1e-10)
     assert_agree(forces, lam, 1e-9)
+    # Constraint forces balance the equations of motion of the trees.
+    inertia, force, qdd, lam = motion_with_forces(engine.model, q, qd, tau)
+    assert_agree(inertia @ qdd, force + numbers.jacobian().T @ lam, 1e-9)
 
 
 @pytest.mark.parametrize('seed', cases.first(1, range(4)))

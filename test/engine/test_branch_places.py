@@ -62,6 +62,18 @@ def test_acceleration_beside_a_change_point_has_ten_digits(beside):
         simulation.acceleration, expected, rtol=0, atol=2e-10 * np.abs(expected).max())
 
 
+def test_acceleration_beside_a_change_point_after_many_turns():
+    mechanism, *_ = machines.change_point_linkage()
+    q, rates, expected = motion(1e-4, 3.0)
+    # More than the code for several places at once takes.
+    q[0] += 2.0 * math.pi * 3e5
+    simulation = Simulation(machines.scene(mechanism, q, rates, Method()))
+    assert simulation.health.near_singular
+    # The angle has ten digits, of which small singular values take some.
+    np.testing.assert_allclose(
+        simulation.acceleration, expected, rtol=0, atol=1e-4 * np.abs(expected).max())
+
+
 @pytest.mark.parametrize('in_space', [False, True])
 @pytest.mark.parametrize('beside', [0.0, 1e-6, -1e-3])
 def test_acceleration_where_three_loops_are_flat_at_once(beside, in_space):

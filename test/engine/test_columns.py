@@ -64,6 +64,7 @@ INNER = {'Manner', 'Level', 'Comparison', 'Factors', 'Outputs', 'projection.cpp:
 # Constants of the same name.
 CONSTANTS = {
     'batch.hpp': (function_table, ('LANES',)),
+    'places.hpp': (function_table, ('PLACES',)),
     'error_control.hpp': (status, ('MOST_EVALUATIONS',)),
     'switching.cpp': (status, ('FLOOR', 'SHARE', 'CLOSER', 'WINDOW', 'LONGEST_PAUSE')),
     'run.cpp': (guards, ('ENERGY_WARN', 'ENERGY_ERROR', 'MOST_EXCHANGES')),
