@@ -152,20 +152,19 @@ def test_effects_that_are_absent_or_off_leave_identical_bits():
     assert bare.data.system.applied is bare.data.system.tau
     assert bare.data.system.effects is None
     effects = all_effects(rng, mechanism, q)
-    plain = {name: record for name, record in effects.items()
-             if not isinstance(record, (Payload, Rotor))}
-    off, with_masses = (simulated(mechanism, some, q, qd) for some in (plain, effects))
-    for simulation in (off, with_masses):
+    plain = {name: record for name, record in effects.items() if not isinstance(record, Rotor)}
+    off, with_rotors = (simulated(mechanism, some, q, qd) for some in (plain, effects))
+    for simulation in (off, with_rotors):
         for name in simulation.effects:
             simulation.set_effect(name, enabled=name == 'gravity')
         assert simulation.data.enabled_effects == ('gravity',)
-    for simulation in (bare, off, with_masses):
+    for simulation in (bare, off, with_rotors):
         simulation.step([1.0, 2.0, 3.0], 0.1)
     for name in ('position', 'velocity', 'multipliers'):
         expected = getattr(bare, name)
         assert np.array_equal(expected, getattr(off, name))
-        # Armatures and first moments of zero are added: the sums are others, to rounding.
-        np.testing.assert_allclose(getattr(with_masses, name), expected, rtol=1e-9)
+        # An armature of zero is added: the sums are others, to rounding.
+        np.testing.assert_allclose(getattr(with_rotors, name), expected, rtol=1e-9)
 
 
 def of_type(kind):
