@@ -281,6 +281,9 @@ def options_of_peers():
     parser.add_argument('--models', type=Path, metavar='DIR',
                         help='folder of models that others have published, which are left out '
                         'without it: a clone of example-parallel-robots')
+    parser.add_argument('--families', type=Path, metavar='DIR',
+                        help='folder of robots with loops of any size, likewise: a clone of '
+                        'generalized_rbda')
     return parser
 
 

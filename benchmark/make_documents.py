@@ -84,7 +84,8 @@ def main(arguments=None):
     doc = options.checkout / 'doc'
     how = [f'--{name}' for name in ('quick', 'measured') if getattr(options, name)]
     beside = ['--output', str(options.output), '--peers-python', options.peers_python,
-              *(['--models', str(options.models)] if options.models else [])]
+              *(part for name in ('models', 'families') if getattr(options, name)
+                for part in (f'--{name}', str(getattr(options, name))))]
     make_accuracy_doc.main([*how, *beside, '--document', str(doc / 'accuracy.md')])
     if not options.measured or (options.output / 'peers.json').exists():
         make_performance_doc.main([

@@ -29,7 +29,7 @@ PARTS = ('peers', 'operation_count', 'elements', 'size', 'startup', 'models')
 SHOWN = 2
 
 
-def measure(parts, output, quick, peers_python, folder=None):
+def measure(parts, output, quick, peers_python, folder=None, families=None):
     """
     Run the benchmarks.
 
@@ -45,12 +45,15 @@ def measure(parts, output, quick, peers_python, folder=None):
         Interpreter that has the packages of the extra ``bench``.
     folder : pathlib.Path, optional
         With models, for that part.
+    families : pathlib.Path, optional
+        With families of robots, for the peers.
 
     """
     for part in parts:
         print(f'{part} ...', file=sys.stderr, flush=True)
         run(sys.executable if part in ('elements', 'size', 'startup') else peers_python, part,
-            '--output', output, *([folder] if part == 'models' else []), quick=quick,
+            '--output', output, *([folder] if part == 'models' else []),
+            *(['--families', families] if part == 'peers' and families else []), quick=quick,
             stdout=subprocess.DEVNULL)
 
 
@@ -109,7 +112,8 @@ def main(arguments=None):
     if 'models' in parts and not (options.models or options.measured):
         parser.error('--only models: expected --models DIR, got none')
     if not options.measured:
-        measure(parts, options.output, options.quick, options.peers_python, options.models)
+        measure(parts, options.output, options.quick, options.peers_python, options.models,
+                options.families)
     texts, pictures = passages(options.output, parts), options.document.parent / 'pictures'
     copy_pictures(options.output, pictures, parts)
     if 'peers' in parts:

@@ -7,10 +7,10 @@ How many floating-point operations an evaluation takes, and how near to its limi
 Counted are the operations of the routine that is generated for a mechanism: nothing is computed
 twice, and nothing that the results do not depend on. A multiplication whose product only one
 addition takes is one operation with it, as in the machine code; among flops it counts as two, as
-it does in those of a KKT system of the same mechanism that CasADi generates (peer_generated.py),
-wherever CasADi can express the mechanism. The longest chain of dependent
-operations bounds the time from below, as do all operations side by side where none are in vectors;
-both by the measured times of single operations in generated code.
+it does in those of code that CasADi generates for the same mechanism, wherever it is told the
+mechanism: a KKT system (peer_generated.py) and C-ABA (peer_clusters.py). The longest chain of
+dependent operations bounds the time from below, as do all operations side by side where none are
+in vectors; both by the measured times of single operations in generated code.
 """
 
 from collections import Counter
@@ -51,6 +51,8 @@ with equal parts side by side in vectors an evaluation takes less. It leaves out
 which always are.
 
 """
+# Solvers that CasADi generates, and what their flops are called.
+RIVALS = {'KKT': "a KKT system's", 'C-ABA': "C-ABA's"}
 LADDER = 10
 MEASURED = ('three_rrr', 'carpet_scraper', 'four_bar', 'stewart_platform', 'delta_robot',
             'bricard')
@@ -135,19 +137,22 @@ def models():
 
 
 def rivals():
-    """Return {mechanism: flops of its KKT system} of those that CasADi is told, if it is there."""
+    """Return {mechanism: {solver: flops}} of those that CasADi is told, if it is there."""
     found = {}
     try:
-        from peer_generated import operations
+        from peer_clusters import Clusters
+        from peer_generated import operations, System
     except ImportError as error:
-        print(f'no KKT systems: {error}. pip install -e .[bench] installs it.')
+        print(f'no code by CasADi: {error}. pip install -e .[bench] installs it.')
         return found
     for name in scene_names():
         machine = peer_cases.Machine(name, peer_cases.load_scene(name))
         mechanism = machine.mechanism
         if mechanism.name not in found and len(mechanism.joints) <= MOST_JOINTS:
             try:
-                found[mechanism.name] = sum(operations(machine).values())
+                found[mechanism.name] = {
+                    name: sum(operations(machine, system).values())
+                    for name, system in zip(RIVALS, (System, Clusters))}
             except (peer_cases.CannotExpress, peer_cases.NotAdapted):
                 # A mechanism with parts that it is not told.
                 continue
@@ -268,7 +273,7 @@ def flops(counts):
 def table(result, make=markdown_table):
     """Return the counts as a table, with times and shares of the peaks where there are any."""
     header = ('mechanism', 'operations', 'longest chain', 'in two routines, for effects', 'flops',
-              "a KKT system's")
+              *RIVALS.values())
     timed = ('measured', 'chain alone', 'all, side by side', 'of the scalar peak',
              'of the vector peak') if 'core' in result else ()
     rows = []
@@ -283,7 +288,8 @@ def table(result, make=markdown_table):
                      *(f'{100.0 * share:.0f} %' for share in shares)]
         rows.append((name, _counts(counts['all']), _counts(counts['chain']),
                      str(counts['in parts']), str(flops(counts['all'])),
-                     str(result.get('rivals', {}).get(name, '-')), *times))
+                     *(str(result.get('rivals', {}).get(name, {}).get(rival, '-'))
+                       for rival in RIVALS), *times))
     return make(header + timed, rows)
 
 

@@ -10,10 +10,12 @@ Everything is read from the shipped scenes or from models of others, nothing is 
 from dataclasses import dataclass, replace
 import os
 from pathlib import Path
+import resource
 import shlex
 import subprocess
 import time
 from typing import Callable
+import warnings
 
 from closedloop_dynamics.formats.in_space import in_space
 from closedloop_dynamics.formats.registry import is_model, read_model
@@ -46,6 +48,12 @@ class NotAdapted(ValueError):
     """The simulator might know the machine, but this benchmark does not tell it."""
 
     text = 'our adapter does not'
+
+
+class TooLarge(NotAdapted):
+    """The code for the machine takes too long to compile."""
+
+    text = 'too large'
 
 
 class Disagreement(ValueError):
@@ -177,6 +185,23 @@ def published(path):
     return Machine(name_of(path), under_gravity(scene_of_model(path, imported)), path)
 
 
+def driven_away(machine, angle):
+    """Return a machine that starts with its drives at an angle [rad], not as it is drawn."""
+    scene, names = machine.scene, machine.mechanism.coordinates
+    drives = {joint.name for joint in machine.mechanism.joints if joint.actuated}
+    position = np.array(scene.initial.position)
+    for name in drives:
+        position[names.coordinates[name].start] = angle
+    held = replace(scene, initial=replace(
+        scene.initial, position=tuple(position.tolist()), hold=tuple(sorted(drives))))
+    with warnings.catch_warnings():
+        # That the other joints move far is wanted.
+        warnings.simplefilter('ignore')
+        closed = Simulation(held).position
+    return replace(machine, scene=replace(held, initial=replace(
+        held.initial, position=tuple(closed.tolist()), hold=())))
+
+
 def random_states(scene, count, apart=0.1, fast=2.0, push=5.0, drives=False):
     """
     Return assembled states around a scene's start, with random rates and torques.
@@ -210,15 +235,23 @@ def random_states(scene, count, apart=0.1, fast=2.0, push=5.0, drives=False):
     return states
 
 
-def run_compiler(variable, default, arguments):
-    """Run the compiler that a variable of the environment names; NotAdapted where it fails."""
+def run_compiler(variable, default, arguments, longest=None):
+    """
+    Run the compiler that a variable of the environment names.
+
+    NotAdapted where it fails, TooLarge where it takes more CPU time than is allowed [s].
+    """
     try:
+        limit = longest and (longest, longest + 1)
         subprocess.run([*shlex.split(os.environ.get(variable, default)), *map(str, arguments)],
-                       check=True, capture_output=True, text=True)
+                       check=True, capture_output=True, text=True, preexec_fn=limit and (
+                           lambda: resource.setrlimit(resource.RLIMIT_CPU, limit)))
     except (OSError, subprocess.CalledProcessError) as error:
         lines = (getattr(error, 'stderr', '') or str(error)).strip().splitlines()
         # Before it stands where the file was included.
         fault, *_ = (*(line for line in lines if 'error:' in line), *lines, error)
+        if 'CPU time limit' in fault:
+            raise TooLarge(f'not compiled in {longest} s') from error
         raise NotAdapted(f'not compiled: {fault}') from error
 
 

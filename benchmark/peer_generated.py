@@ -13,19 +13,18 @@ equations repeat others is decided once; at singular positions of the mechanism 
 
 from collections import Counter
 import ctypes
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from pathlib import Path
 import tempfile
 
 import casadi as ca
 import numpy as np
 from peer_cases import NotAdapted, random_states, run_compiler
-from scipy.linalg import qr
 
 from closedloop_dynamics.formats.in_space import in_space  # noqa: I100
 from closedloop_dynamics.mechanism.inertia import inertia_matrix
 from closedloop_dynamics.mechanism.mechanism import (
-    GROUND, PRISMATIC, REVOLUTE, SPHERICAL, UNIVERSAL)
+    FREE, GROUND, PRISMATIC, REVOLUTE, SPHERICAL, UNIVERSAL)
 from closedloop_dynamics.mechanism.rotations import of_quaternion
 
 NAME = 'KKT system by CasADi'
@@ -36,6 +35,10 @@ BUILDS = {f'gcc {level}, sines {kind}': (level, *sines) for level in ('-O3', '-O
 LANES = 4
 # Of a Jacobian, relative: pivots below are those of equations that repeat others.
 REPEATED = 1e-9
+# Of the largest entry of its row: a pivot that fills in less may be so small.
+PIVOT = 0.1
+# Code that gcc takes longer to compile than so is left out [s].
+LONGEST_COMPILING = 120
 OPERATIONS = {ca.OP_ADD: 'add', ca.OP_SUB: 'add', ca.OP_MUL: 'multiply', ca.OP_SQ: 'multiply',
               ca.OP_TWICE: 'multiply', ca.OP_DIV: 'divide', ca.OP_INV: 'divide'}
 # As the engine's own loop: each evaluation waits for the one before. ``zero`` is 0.
@@ -78,7 +81,12 @@ def hat(vector):
     return thin(ca.skew(vector))
 
 
-@dataclass
+def symmetric(matrix):
+    """Return a symmetric matrix of which nothing is computed twice."""
+    return ca.tril2symm(ca.tril(thin(matrix)))
+
+
+@dataclass(eq=False)
 class Link:
     """
     A body behind a joint, in its own frame; and how it moves.
@@ -96,6 +104,8 @@ class Link:
     mass, moment, inertia : SX, shapes (1, 1), (3, 1) and (3, 3)
         Mass, mass times place of its centre, inertia about its origin; in the end those of all
         that it carries.
+    carried : SX, shape (6, 6)
+        Inertia about its origin that is not one of a rigid body; angular coordinates first.
 
     """
 
@@ -108,26 +118,31 @@ class Link:
     mass: ca.SX
     moment: ca.SX
     inertia: ca.SX
+    carried: ca.SX = field(default_factory=lambda: ca.SX(6, 6))
 
     def move(self, qd, rest):
-        """Compute velocity, acceleration at ``qdd`` = 0 and pose; ``rest``: of the ground."""
+        """Compute velocity and acceleration at ``qdd`` = 0; ``rest``: of the ground."""
         back, own = thin(self.turn.T), times(self.about, qd[self.rates])
-        self.spin, turning, pulled = own, ca.SX(3, 1), rest
-        self.pose, self.place = self.turn, self.position
+        self.spin, carried, turning, pulled = own, ca.SX(3, 1), ca.SX(3, 1), rest
         if self.parent is not None:
             carried = times(back, self.parent.spin)
             self.spin = thin(carried + own)
             turning = thin(times(back, self.parent.turning) + times(hat(carried), own))
             pulled = self.parent.pulled + times(self.parent.bend, self.position)
-            self.pose = times(self.parent.pose, self.turn)
-            self.place = thin(self.parent.place + times(self.parent.pose, self.position))
-        sliding = times(hat(self.spin), self.along, qd[self.rates])
+        sliding = times(hat(carried), self.along, qd[self.rates])
         self.turning, self.pulled = turning, thin(times(back, pulled) + 2.0 * sliding)
         # What a point of the body is accelerated by more than its origin, over its place.
         self.bend = thin(hat(turning) + times(hat(self.spin), hat(self.spin)))
         self.force = thin(self.mass * self.pulled + times(self.bend, self.moment))
         self.torque = thin(times(self.inertia, turning) + times(hat(self.moment), self.pulled)
                            + times(hat(self.spin), self.inertia, self.spin))
+
+    def momenta(self):
+        """Return angular and linear momentum by rate, of all that it carries."""
+        both = times(self.carried, ca.vertcat(self.about, self.along))
+        return (thin(times(self.inertia, self.about) + times(hat(self.moment), self.along)
+                     + both[:3, :]),
+                thin(self.mass * self.along - times(hat(self.moment), self.about) + both[3:, :]))
 
     def joint_force(self, torque, force):
         """Return what a torque and a force at its origin are for its joint."""
@@ -147,10 +162,13 @@ class Link:
         mixed = times(shift, hat(moment))
         whole = thin(parent.inertia + times(self.turn, self.inertia, self.turn.T)
                      - mixed - mixed.T - self.mass * times(shift, shift))
-        # Symmetric: nothing is computed twice.
-        parent.inertia = ca.tril2symm(ca.tril(whole))
+        parent.inertia = symmetric(whole)
         parent.moment = thin(parent.moment + moment + self.mass * self.position)
         parent.mass = parent.mass + self.mass
+        half = self.carried
+        for _ in range(2):
+            half = ca.vertcat(*self.to_parent(half[:3, :], half[3:, :])).T
+        parent.carried = symmetric(parent.carried + half)
 
 
 class System:
@@ -167,6 +185,13 @@ class System:
         Accelerations of coordinates, rates, torques, and cosines and sines of ``angles``.
     angles : list of int
         Coordinates that are angles.
+    links : list of Link
+        Each before those that it carries.
+    loops : list of set of Link
+        What moves in each loop.
+    pivots : list of (int, int)
+        Rows of the Jacobian of loops and rates that they are solved for, one after the other, at
+        the start; other rows repeat these.
 
     Raises
     ------
@@ -176,7 +201,7 @@ class System:
     """
 
     def __init__(self, machine):
-        mechanism, self._links, self.angles = in_space(machine.mechanism), [], []
+        mechanism, self.links, self.angles, self.loops = in_space(machine.mechanism), [], [], []
         machine.require_gravity_alone()
         if mechanism.couplings or not mechanism.cut_joints:
             raise NotAdapted('couplings of joints, or no loops')
@@ -185,24 +210,22 @@ class System:
             ('q', names.nq), ('qd', names.nv), ('tau', names.nv), ('c', names.nv),
             ('s', names.nv))]
         q, qd, tau, self._cosines, self._sines = symbols
-        rest = -ca.SX(machine.gravity)
+        # Of rates: those of a free body along its own axes.
+        self._own_axes, rest = ca.SX.eye(names.nv), thin(-ca.SX(machine.gravity))
         last, bodies = {GROUND: None}, {body.name: body for body in mechanism.bodies}
         for joint in mechanism.joints:
             last[joint.child] = self._linked(joint, bodies[joint.child], last[joint.parent], q,
                                              names.coordinates[joint.name].start)
-        for link in self._links:
-            link.move(qd, thin(rest))
+        for link in self.links:
+            link.move(times(self._own_axes, qd), rest)
         rows, biases = (ca.vertcat(*parts) for parts in zip(*self._closed(
             mechanism, machine.mechanism.planar, last, rest)))
         state, turns = random_states(machine.scene, 1)[0], np.zeros((2, names.nv))
         angles = state[0][self.angles]
         turns[:, :len(angles)] = np.cos(angles), np.sin(angles)
-        jacobian = np.array(ca.Function('rows', symbols, [rows])(*state, *turns))
-        _, triangle, order = qr(jacobian.T, mode='economic', pivoting=True)
-        pivots = np.abs(np.diag(triangle))
-        kept = sorted(order[:int(np.sum(pivots > REPEATED * pivots.max()))].tolist())
-        self.function = ca.Function('accelerate', symbols, ca.cse([
-            self._accelerated(tau, rows[kept, :], biases[kept])]))
+        self.pivots = _pivots(np.array(ca.Function('rows', symbols, [rows])(*state, *turns)))
+        self.function = ca.Function('accelerate', symbols, ca.cse([times(
+            self._own_axes.T, self.accelerated(times(self._own_axes, tau), rows, biases))]))
 
     def _linked(self, joint, body, parent, q, first):
         """Return the last link of a joint, made of as many as it has axes."""
@@ -212,15 +235,20 @@ class System:
         center = np.array(body.center_of_mass)
         inertia = inertia_matrix(body.inertia) + body.mass * (
             center @ center * np.eye(3) - np.outer(center, center))
-        if joint.type not in (REVOLUTE, PRISMATIC, UNIVERSAL, SPHERICAL):
+        if joint.type not in (REVOLUTE, PRISMATIC, UNIVERSAL, SPHERICAL, FREE):
             raise NotAdapted(f'{joint.name}: a joint {joint.type}')
-        axes = [np.eye(3)] if joint.type == SPHERICAL else [
+        axes = [np.eye(3)] if joint.type in (SPHERICAL, FREE) else [
             np.array([axis]).T for axis in (joint.axis, joint.second_axis) if axis]
         for number, axis in enumerate(axes):
-            begin = sum(len(link.rates) for link in self._links)
+            begin = sum(len(link.rates) for link in self.links)
             about, along = thin(axis), ca.SX(*axis.shape)
             if joint.type == SPHERICAL:
                 own = _turned_by(q[first:first + 4])
+            elif joint.type == FREE:
+                own = _turned_by(q[first + 3:first + 7])
+                self._own_axes[begin:begin + 3, begin:begin + 3] = own.T
+                about, along = ca.horzcat(along, about), ca.horzcat(about, along)
+                position = thin(position + times(turn, q[first:first + 3]))
             elif joint.type == PRISMATIC:
                 about, along, own = along, about, ca.SX.eye(3)
                 position = thin(position + times(turn, along) * q[first])
@@ -232,10 +260,10 @@ class System:
                 self.angles.append(first + number)
             # Between the axes of a joint there is no mass.
             here = 1.0 if number == len(axes) - 1 else 0.0
-            parent = Link(parent, list(range(begin, begin + axis.shape[1])), times(turn, own),
+            parent = Link(parent, list(range(begin, begin + about.shape[1])), times(turn, own),
                           position, about, along, ca.SX(here * body.mass),
                           thin(here * body.mass * center), thin(here * inertia))
-            self._links.append(parent)
+            self.links.append(parent)
             turn, position = ca.SX.eye(3), nothing[:, 0]
         return parent
 
@@ -244,8 +272,14 @@ class System:
         for cut in mechanism.cut_joints:
             if cut.type not in (REVOLUTE, SPHERICAL):
                 raise NotAdapted(f'{cut.name}: a cut joint {cut.type}')
-            a, b = (_motion(last[body], thin(np.array(point)), rest, self._sines.numel())
-                    for body, point in ((cut.body_a, cut.point_a), (cut.body_b, cut.point_b)))
+            # From the body on that carries both.
+            branches = [_carriers(last[body]) for body in (cut.body_a, cut.body_b)]
+            while all(branches) and branches[0][0] is branches[1][0]:
+                branches = [branch[1:] for branch in branches]
+            self.loops.append({link for branch in branches for link in branch})
+            a, b = (_motion(branch, last[body], thin(np.array(point)), rest, self._sines.numel())
+                    for branch, body, point in zip(branches, (cut.body_a, cut.body_b),
+                                                   (cut.point_a, cut.point_b)))
             yield from _between(np.eye(3), ca.SX(3, 3), a, b, 'moves', 'pulled')
             if cut.type == REVOLUTE and not planar:
                 axis = cut.axis_a
@@ -256,24 +290,74 @@ class System:
                 turning = times(hat(a['spin']), across)
                 yield from _between(across, turning, a, b, 'turns', 'turning')
 
-    def _accelerated(self, tau, rows, biases):
-        """Return the solution of the whole system, rates from the leaves to the root first."""
+    def composed(self, links, tau):
+        """
+        Compose the inertias of links that carry one another, from the leaves on.
+
+        Returns the inertia matrix, what drives it, and the momenta by rate at what carries all of
+        them; which then carries their inertias and forces, too.
+        """
         count = tau.numel()
-        matrix = ca.SX(count + biases.numel(), count + biases.numel())
-        matrix[count:, :count] = rows
-        right = ca.vertcat(tau, -biases)
-        for link in reversed(self._links):
-            right[link.rates] -= link.joint_force(link.torque, link.force)
-            momenta = (thin(times(link.inertia, link.about) + times(hat(link.moment), link.along)),
-                       thin(link.mass * link.along - times(hat(link.moment), link.about)))
-            one = link
-            while one is not None:
+        matrix, driven, at_carrier = ca.SX(count, count), ca.SX(tau), ca.SX(6, count)
+        for link in reversed(links):
+            driven[link.rates] -= link.joint_force(link.torque, link.force)
+            momenta, one = link.momenta(), link
+            while one in links:
                 matrix[one.rates, link.rates] = one.joint_force(*momenta)
                 momenta, one = one.to_parent(*momenta), one.parent
+            at_carrier[:, link.rates] = ca.vertcat(*momenta)
             if link.parent is not None:
                 link.add_to_parent()
-        order = [*reversed(range(count)), *range(count, right.numel())]
-        return ca.vertcat(*_solved(matrix[order, order], right[order]))[order[:count]]
+        return ca.triu2symm(ca.triu(matrix)), driven, at_carrier
+
+    def accelerated(self, tau, rows, biases):
+        """Return the solution of the whole system, rates from the leaves to the root."""
+        kept, count = [row for row, _ in self.pivots], tau.numel()
+        matrix, driven, _ = self.composed(self.links, tau)
+        matrix = ca.blockcat([[matrix, rows[kept, :].T],
+                              [rows[kept, :], ca.SX(len(kept), len(kept))]])
+        right, order = ca.vertcat(driven, -biases[kept]), []
+        for links in reversed(self.clusters()):
+            # Loops after their own joints: what carries them is not filled in more than by these.
+            rates = [rate for link in links for rate in link.rates]
+            order += [*reversed(rates), *(count + number for number, (_, column) in enumerate(
+                self.pivots) if column in rates)]
+        found = substituted(*eliminated(
+            matrix[order, order], right[order]))
+        return ca.vertcat(*(found[order.index(k)] for k in range(count)))
+
+    def clusters(self):
+        """Return lists of links whose joints loops connect, each after what carries it."""
+        found = [{link} for link in self.links]
+        for loop in self.loops:
+            found = [*(one for one in found if not one & loop),
+                     loop.union(*(one for one in found if one & loop))]
+        return sorted(([link for link in self.links if link in one] for one in found),
+                      key=lambda links: self.links.index(links[0]))
+
+
+def _pivots(jacobian):
+    """Return rows and columns that eliminate one another with little fill-in; see ``System``."""
+    left, limit, found = jacobian.copy(), REPEATED * np.abs(jacobian).max(), []
+    while True:
+        large = np.abs(left)
+        large[large <= limit] = 0.0
+        there = large > 0.0
+        filled_in = np.outer(there.sum(1) - 1, there.sum(0) - 1)
+        able = there & (large >= PIVOT * large.max(1, keepdims=True))
+        if not able.any():
+            return found
+        # Of the cheapest ones the largest.
+        cheap = able & (filled_in == filled_in[able].min())
+        row, column = np.unravel_index(np.argmax(np.where(cheap, large, 0.0)), left.shape)
+        found.append((int(row), int(column)))
+        left -= np.outer(left[:, column] / left[row, column], left[row])
+        left[row], left[:, column] = 0.0, 0.0
+
+
+def _carriers(link):
+    """Return a link and all that carry it, from the ground on."""
+    return [] if link is None else [*_carriers(link.parent), link]
 
 
 def _turned_by(quaternion):
@@ -282,20 +366,26 @@ def _turned_by(quaternion):
     return ca.SX.eye(3) + 2.0 * times(hat(vector), w * ca.SX.eye(3) + hat(vector))
 
 
-def _motion(link, point, rest, count):
-    """Return how a body and a point of it move: Jacobians, accelerations without gravity, pose."""
+def _motion(branch, link, point, rest, count):
+    """
+    Return how a body and a point of it move: Jacobians, accelerations at qdd = 0, pose.
+
+    By the links of a branch alone, in the frame of what carries it.
+    """
+    pose, place, poses = ca.SX.eye(3), ca.SX(3, 1), []
+    for one in branch:
+        place, pose = thin(place + times(pose, one.position)), times(pose, one.turn)
+        poses.append((place, pose))
     found = {'turns': ca.SX(3, count), 'moves': ca.SX(3, count), 'spin': ca.SX(3, 1),
-             'turning': ca.SX(3, 1), 'pulled': ca.SX(3, 1)}
+             'turning': ca.SX(3, 1), 'pulled': rest, 'pose': pose}
     if link is not None:
-        where = link.place + times(link.pose, point)
-        found.update(pose=link.pose, spin=times(link.pose, link.spin),
-                     turning=times(link.pose, link.turning), pulled=thin(times(
-                         link.pose, thin(link.pulled + times(link.bend, point))) - rest))
-    while link is not None:
-        turns = found['turns'][:, link.rates] = times(link.pose, link.about)
-        found['moves'][:, link.rates] = thin(
-            times(hat(link.place - where), turns) + times(link.pose, link.along))
-        link = link.parent
+        found.update(spin=times(pose, link.spin), turning=times(pose, link.turning),
+                     pulled=times(pose, thin(link.pulled + times(link.bend, point))))
+    where = thin(place + times(pose, point))
+    for one, (place, pose) in zip(branch, poses):
+        turns = found['turns'][:, one.rates] = times(pose, one.about)
+        found['moves'][:, one.rates] = thin(
+            times(hat(place - where), turns) + times(pose, one.along))
     return found
 
 
@@ -309,8 +399,13 @@ def _between(directions, turning, a, b, jacobian, acceleration):
             yield row, times(across, value) + times(turning[:, k].T, spin)
 
 
-def _solved(matrix, right):
-    """Solve a symmetric system, given by its lower triangle, in its order and without pivoting."""
+def eliminated(matrix, right):
+    """
+    Factor a symmetric matrix, given by its lower triangle, in its order and without pivoting.
+
+    Returns inverse pivots, columns of the factor below them, and the right sides, row by row,
+    after elimination.
+    """
     entries = {(i, k): matrix[i, k] for i, k in zip(*matrix.sparsity().get_triplet()) if i >= k}
     solution, inverse, below = ca.vertsplit(right), [], []
     for k in range(len(solution)):
@@ -322,6 +417,12 @@ def _solved(matrix, right):
                 if j <= i:
                     entries[i, j] = entries.get((i, j), 0.0) - value * column[j]
             solution[i] -= value * solution[k]
+    return inverse, below, solution
+
+
+def substituted(inverse, below, solution):
+    """Return the solution, row by row, after ``eliminated``."""
+    solution = list(solution)
     for k in reversed(range(len(solution))):
         solution[k] *= inverse[k]
         for i, value in below[k].items():
@@ -329,9 +430,9 @@ def _solved(matrix, right):
     return solution
 
 
-def operations(machine):
+def operations(machine, system=System):
     """Return how many operations of each kind an evaluation takes, an fma as two."""
-    function = System(machine).function
+    function = system(machine).function
     counts = Counter(OPERATIONS.get(function.instruction_id(k))
                      for k in range(function.n_instructions()))
     del counts[None]
@@ -354,9 +455,10 @@ class Engine:
     """
 
     name, version, agreed, limit = NAME, ca.__version__, 1e-9, None
+    system = System
 
     def __init__(self, machine):
-        system, generator = System(machine), ca.CodeGenerator('accelerate')
+        system, generator = self.system(machine), ca.CodeGenerator('accelerate')
         generator.add(system.function)
         width = -(-len(system.angles) // LANES) * LANES
         text = generator.dump() + LOOP.format(
@@ -389,5 +491,5 @@ def _compiled(text, options):
         source, library = (Path(directory) / name for name in ('code.c', 'code.so'))
         source.write_text(text)
         run_compiler('CC', 'gcc', [source, '-o', library, *options, '-march=native', '-shared',
-                                   '-fPIC', '-lmvec', '-lm'])
+                                   '-fPIC', '-lmvec', '-lm'], LONGEST_COMPILING)
         return ctypes.CDLL(str(library)).evaluate_again

@@ -23,7 +23,8 @@ QUIET = 0.7
 COLORS = {OURS: '#0072B2', 'Pinocchio': '#D55E00', 'MuJoCo': '#009E73', 'Exudyn': '#CC79A7'}
 STYLES = (('o', '-'), ('s', '--'), ('D', ':'), ('^', '-.'), ('v', '-'), ('x', '--'), ('+', ':'))
 # What the files of a group are called, and how their names end.
-FILES = {'plane': 'peers', 'space': 'peers_space', 'generated': 'peers_generated'}
+FILES = {'plane': 'peers', 'space': 'peers_space', 'generated': 'peers_generated',
+         'families': 'peers_families'}
 ENDS = ('_evaluation.csv', '_motions.csv', '.png')
 EVALUATIONS = ('tree', 'engine', 'what', 'best', 'median')
 MOTIONS = ('case', 'tree', 'engine', 'line', 'setting', 'error', 'closure', 'best', 'median')
@@ -93,7 +94,7 @@ def agreement_table(result):
     """Return how far accelerations differ from ours; of several trees the largest difference."""
     lines = _by_line(result['agreement'], ('engine', 'version'),
                      lambda *rows: max(rows, key=lambda row: row['error']))
-    rows = [(' '.join(line), *(f'{part["error"]:.0e}' + (
+    rows = [(' '.join(line), *('-' if part is None else f'{part["error"]:.0e}' + (
         f' ({part["limit_name"]}: {part["limit"]:.0e})' if 'limit' in part else '')
         for part in parts)) for line, parts in lines.items()]
     return markdown_table(('simulator', *result['agreement']), rows)
@@ -103,17 +104,20 @@ def evaluation_table(result):
     """
     Return the times of an evaluation or step, and in brackets how many times ours.
 
-    Of several trees the shortest time, and the name of a tree that is not the scene's own.
+    Of several trees the shortest time, and the name of a tree that is not the scene's own; of a
+    simulator that is left out the reason.
     """
+    why = [result['left out'].get(scene, {}) for scene in result['evaluation']]
     ours = [min(row['best'] for row in rows if row['engine'] == OURS)
             for rows in result['evaluation'].values()]
     lines = _by_line(result['evaluation'], ('engine', 'what'),
                      lambda *rows: min(rows, key=lambda row: row['best']))
     digits = 1 if result['motions'] else 2
     rows = [(*line, *(
+        left_out.get(line[0], '-') if part is None else
         f'{seconds(part["best"])} ({part["best"] / time:.{digits}f}'
         f'{"" if part["tree"] == SHIPPED else ", " + part["tree"]})'
-        for part, time in zip(parts, ours))) for line, parts in lines.items()]
+        for part, time, left_out in zip(parts, ours, why))) for line, parts in lines.items()]
     return markdown_table(('simulator', 'what', *result['evaluation']), rows)
 
 

@@ -9,29 +9,36 @@ accelerations, then measures in one run, in turn, on one thread: the time of an 
 step, and error against CPU time of whole motions; in space also how many steps of many simulations
 at once a second has. In the plane the 3-RRR and the carpet scraper, in space a Stewart platform, a
 Delta robot and Bricard's linkage, which the others are given with a second tree, too. Evaluations
-stand beside code that CasADi generates for the same mechanism, too. Needs the packages of the
-extra ``bench``; a simulator that is not installed is left out.
+stand beside code that CasADi generates for the same mechanism, too; where a user has them, also
+those of families of robots with loops. Needs the packages of the extra ``bench``; a simulator that
+is not installed is left out.
 """
 
 from dataclasses import dataclass
 import datetime
 import json
 import os
+from pathlib import Path
 import sys
 import time
+import warnings
 
 import peer_runner  # noqa: I100 (before anything loads a library that has threads of its own)
 from machine import description, parser_of  # noqa: I100
-from peer_cases import Case, load_scene, Machine, random_states, SHIPPED, trees
+from peer_cases import (
+    Case, driven_away, files, load_scene, Machine, name_of, published, random_states, SHIPPED,
+    trees)
 import peer_report
 import throughput
 from tqdm import tqdm
 
-from closedloop_dynamics.simulation.simulation import Simulation  # noqa: I100
+from closedloop_dynamics.scene.model_scene import ModelWarning  # noqa: I100
+from closedloop_dynamics.simulation.simulation import Simulation
 from closedloop_dynamics.visual.tables import text_table
 
 ENGINES = (peer_runner.OURS, 'peer_pinocchio', 'peer_mujoco', 'peer_drake', 'peer_exudyn')
-GENERATED = 'peer_generated'
+# Code that CasADi generates.
+GENERATED = ('peer_clusters', 'peer_generated')
 BASE_TORQUES = {'theta_1': 5.0, 'theta_6': -3.0, 'theta_7': 2.0}
 LEG_FORCES = {f'leg_{k}': 28.5 * share for k, share in enumerate(
     (1.0, 1.1, 0.95, 1.05, 0.9, 1.0), start=1)}
@@ -77,8 +84,14 @@ GROUPS = {
         ('stewart_platform', LEG_FORCES)),
     'generated': Group(
         ('three_rrr', 'carpet_scraper', 'stewart_platform', 'delta_robot', 'bricard'),
-        (peer_runner.OURS, GENERATED)),
+        (peer_runner.OURS, *GENERATED)),
+    # Towers of four-bars on a free body: so many branches, so many in each.
+    'families': Group(tuple(f'four_bar_branch_{size}' for size in (
+        '1_1', '1_5', '1_10', '2_5', '6_5')), (peer_runner.OURS, *GENERATED)),
 }
+FAMILIES = 'families'
+# Of the drives of families, which are drawn flat, at a singular position [rad].
+AWAY = 0.8
 # Of which derivatives are compared.
 DIFFERENTIATED = ('three_rrr', 'carpet_scraper', 'delta_robot', 'stewart_platform')
 QUICK_CASES = 1
@@ -95,20 +108,30 @@ QUICK_PLAN = peer_runner.Plan(
     rounds=2, longest=0.2, enough=0.3)
 
 
-def with_engines(name, chosen):
-    """Return {tree: (machine, simulators)} of a scene; ours take its own tree alone."""
-    found = {}
-    for tree in trees(name):
-        machine = Machine(name, load_scene(name, tree))
+def told(name):
+    """Return {tree: machine} of a scene."""
+    return {tree: Machine(name, load_scene(name, tree)) for tree in trees(name)}
+
+
+def with_engines(machines, chosen):
+    """
+    Return {tree: (machine, simulators)}; ours take its own tree alone.
+
+    Also {simulator: why it is left out} of those that are installed.
+    """
+    found, left_out = {}, {}
+    for tree, machine in machines.items():
         built, why = peer_runner.engines(machine, [
             one for one in chosen if tree == SHIPPED or one != peer_runner.OURS])
         for engine, reason in why.items():
-            print(f'{engine} is left out: {reason}')
+            print(f'{engine} is left out of {machine.name}: {reason}')
+            if engine in sys.modules:
+                left_out[sys.modules[engine].Engine.name] = reason
         found[tree] = machine, built
-    return found
+    return found, left_out
 
 
-def measure(group, quick=False, chosen=(*ENGINES, GENERATED)):
+def measure(group, quick=False, chosen=(*ENGINES, *GENERATED), folder=None):
     """
     Measure a group of mechanisms.
 
@@ -120,6 +143,8 @@ def measure(group, quick=False, chosen=(*ENGINES, GENERATED)):
         To see that it runs: the numbers are rough.
     chosen : sequence of str
         Modules of the simulators, those of others are left out.
+    folder : pathlib.Path, optional
+        With the files of families; those that it has not are left out.
 
     Returns
     -------
@@ -127,14 +152,19 @@ def measure(group, quick=False, chosen=(*ENGINES, GENERATED)):
         As written to the JSON file.
 
     """
+    machines = {name: told(name) for name in GROUPS[group].scenes} if group != FAMILIES else {
+        name_of(path): {SHIPPED: driven_away(published(path), AWAY)} for path in sorted(
+            (path for path in files(folder) if name_of(path) in GROUPS[group].scenes),
+            key=lambda path: GROUPS[group].scenes.index(name_of(path)))}
     group = GROUPS[group]
     result = {'machine': description(), 'date': datetime.date.today().isoformat(),
               'load': [os.getloadavg()[0]], 'quick': quick, 'agreement': {}, 'evaluation': {},
-              'cases': [], 'motions': [], 'rollouts': [], 'short_rollouts': []}
+              'cases': [], 'motions': [], 'rollouts': [], 'short_rollouts': [], 'left out': {}}
     states, rounds, plan = (QUICK_STATES, QUICK_ROUNDS, QUICK_PLAN) if quick else (
         STATES, ROUNDS, PLAN)
-    machines = {name: with_engines(name, [one for one in group.engines if one in chosen])
-                for name in group.scenes}
+    for name, by_tree in machines.items():
+        machines[name], result['left out'][name] = with_engines(
+            by_tree, [one for one in group.engines if one in chosen])
     for name, by_tree in machines.items():
         result['agreement'][name] = [row for machine, built in by_tree.values()
                                      for row in peer_runner.agreement(
@@ -171,7 +201,7 @@ def derivatives(quick=False):
     """Return a table of what all derivatives of accelerations cost, beside ours."""
     rows = []
     for name in DIFFERENTIATED[:2 if quick else None]:
-        machine, built = with_engines(name, ENGINES[:3])[SHIPPED]
+        machine, built = with_engines(told(name), ENGINES[:3])[0][SHIPPED]
         state = random_states(machine.scene, 1)[0]
         found = peer_runner.evaluation_times(
             [(SHIPPED, engine, state) for engine in built],
@@ -184,10 +214,14 @@ def derivatives(quick=False):
 def main(arguments=None):
     """Run the comparison."""
     parser = parser_of(__doc__, 'see that it runs: rough numbers', output=True)
-    parser.add_argument('--only', action='append', choices=GROUPS,
+    parser.add_argument('--only', action='append',
+                        choices=[group for group in GROUPS if group != FAMILIES],
                         help='these mechanisms alone; what the file has of others stays')
     parser.add_argument('--generated', dest='only', action='append_const', const='generated',
                         help='as --only generated: beside code that CasADi generates')
+    parser.add_argument('--families', type=Path, metavar='DIR',
+                        help='the same of towers of four-bars, too, in a folder of yours: a clone '
+                        'of generalized_rbda')
     parser.add_argument('--derivatives', action='store_true',
                         help='only compare derivatives of accelerations by positions, rates and '
                              'torques')
@@ -195,11 +229,13 @@ def main(arguments=None):
     if options.derivatives:
         print(derivatives(options.quick))
         return 0
+    warnings.simplefilter('ignore', ModelWarning)
     options.output.mkdir(parents=True, exist_ok=True)
     path = options.output / 'peers.json'
     results = json.loads(path.read_text()) if options.only and path.exists() else {}
-    for group in options.only or GROUPS:
-        results[group] = measure(group, options.quick)
+    chosen = options.only or [group for group in GROUPS if group != FAMILIES]
+    for group in chosen + [FAMILIES] * (options.families is not None):
+        results[group] = measure(group, options.quick, folder=options.families)
         path.write_text(json.dumps(results, indent=1))
         peer_report.write_files(results[group], options.output, group)
         print(*peer_report.passages({group: results[group]}).values(), sep='\n\n')

@@ -14,6 +14,8 @@ import sys
 
 from closedloop_dynamics.codegen.expression_graph import (
     cosine, ExpressionGraph, LOAD, MULTIPLY, Q, Routine, sine)
+from closedloop_dynamics.effects.registry import EFFECTS
+from closedloop_dynamics.scene.records import Initial, Scene
 from closedloop_dynamics.simulation.simulation import Simulation
 import numpy as np
 import pytest
@@ -126,7 +128,7 @@ def test_tables_of_the_peers_are_those_of_their_files(benchmark, group):
     parts = {name: text for name, text in report.passages({group: {
         'evaluation': by_scene, 'motions': motions, 'cases': cases, 'agreement': {},
         'load': (0, 0), 'machine': '', 'date': '', 'quick': False, 'rollouts': (),
-        'short_rollouts': ()}}).items()
+        'short_rollouts': (), 'left out': {}}}).items()
         if name.split()[-1] in ('evaluation', 'motions', 'reference')}
     text = (ROOT / 'doc' / 'performance.md').read_text()
     assert len(parts) == 3 and benchmark('make_accuracy_doc').filled(text, parts) == text
@@ -360,6 +362,8 @@ def quick_results(tmp_path_factory):
     folder = tmp_path_factory.mktemp('models')
     (folder / 'four_bar.urdf').write_text(machines.four_bar())
     (folder / 'arm.urdf').write_text(machines.robot(machines.LINKS, machines.TREE))
+    families = tmp_path_factory.mktemp('families')
+    (families / 'four_bar_branch_1_1.urdf').write_text(machines.four_bar())
     with pytest.MonkeyPatch.context() as patch:
         patch.syspath_prepend(BENCHMARKS)
         importlib.import_module('make_performance_doc').measure(
@@ -378,7 +382,8 @@ def quick_results(tmp_path_factory):
         patch.setitem(peers.GROUPS, 'generated', replace(
             peers.GROUPS['generated'], scenes=('three_rrr',)))
         # The others need a minute, and may not be installed: test_peers_agree looks at them.
-        results = {group: peers.measure(group, True, ('peer_ours',)) for group in peers.GROUPS}
+        results = {group: peers.measure(group, True, ('peer_ours',), families)
+                   for group in peers.GROUPS}
         (output / 'peers.json').write_text(json.dumps(results))
         report = importlib.import_module('peer_report')
         for group, result in results.items():
@@ -407,7 +412,8 @@ def test_performance_document_is_filled(benchmark, quick_results, tmp_path):
 
 
 @pytest.mark.slow
-def test_quick_results_make_sense(quick_results):
+def test_quick_results_make_sense(benchmark, quick_results):
+    peers = benchmark('peers')
     sizes = json.loads((quick_results / 'size.json').read_text())['rows']
     assert {row['family'] for row in sizes} == {'ladder', 'star of four', 'star of eight', 'chain'}
     assert all(row['best'] > 0.0 and row['full rank'] for row in sizes)
@@ -432,7 +438,8 @@ def test_quick_results_make_sense(quick_results):
     assert all(error < (1e-5 if name == 'lcaba' else 1e-8)
                for name, error in model['errors'].items())
     for group, result in json.loads((quick_results / 'peers.json').read_text()).items():
-        assert group == 'generated' or min(row['error'] for row in result['motions']) < 1e-8
+        assert not peers.GROUPS[group].cases or min(
+            row['error'] for row in result['motions']) < 1e-8
 
 
 def test_operations_of_a_routine_are_counted(benchmark):
@@ -487,15 +494,16 @@ def test_comparison_runs_two_commits(benchmark, tmp_path):
 
 @pytest.mark.parametrize('engine', [
     'peer_exudyn', *(pytest.param(engine, marks=pytest.mark.slow) for engine in (
-        'peer_pinocchio', 'peer_mujoco', 'peer_drake', 'peer_generated'))])
+        'peer_pinocchio', 'peer_mujoco', 'peer_drake', 'peer_generated', 'peer_clusters'))])
 def test_peers_agree(benchmark, engine):
     pytest.importorskip({'peer_pinocchio': 'pinocchio', 'peer_mujoco': 'mujoco',
                          'peer_drake': 'pydrake', 'peer_exudyn': 'exudyn',
-                         'peer_generated': 'casadi'}[engine])
+                         'peer_generated': 'casadi', 'peer_clusters': 'casadi'}[engine])
     peers, cases, runner = map(benchmark, ('peers', 'peer_cases', 'peer_runner'))
     for machine in (cases.Machine(name, cases.load_scene(name, tree))
                     for group in peers.GROUPS.values() if engine in group.engines
-                    for name in group.scenes for tree in cases.trees(name)):
+                    for name in group.scenes if group is not peers.GROUPS['families']
+                    for tree in cases.trees(name)):
         built, why = runner.engines(machine, [engine])
         assert not why
         row, *others = runner.agreement(machine, built, cases.random_states(machine.scene, 3))
@@ -503,6 +511,69 @@ def test_peers_agree(benchmark, engine):
         assert row.get('limit', row['error']) < {
             'peer_drake': 2e-2, 'peer_exudyn': 1e-6, 'peer_mujoco': 1e-6}.get(engine, 1e-9)
         assert row['error'] < 2e-2 and all(other['error'] < 1e-5 for other in others)
+
+
+def of_tower(benchmark, loops, branches=1):
+    """Return a tower of four-bars in space under gravity, as simulators are told it."""
+    mechanism, position = benchmark('families').tower(loops, branches, (0.8, 1.1, 0.5))
+    return benchmark('peer_cases').Machine(mechanism.name, Scene(
+        mechanism.name, None, '', mechanism,
+        Initial(position, (0.0,) * mechanism.coordinates.nv),
+        {'gravity': EFFECTS['gravity'](acceleration=(1.0, -9.0, 3.0))}))
+
+
+@pytest.mark.parametrize('name', ['four_bar', 'carpet_scraper', 'bricard', 'double_wishbone',
+                                  (2, 1), (2, 2)])
+def test_solvers_on_symbols_accelerate_as_we_do(benchmark, name):
+    pytest.importorskip('casadi')
+    cases, kkt, caba = map(benchmark, ('peer_cases', 'peer_generated', 'peer_clusters'))
+    machine = of_tower(benchmark, *name) if isinstance(name, tuple) else cases.Machine(
+        name, cases.load_scene(name))
+    data = Simulation(machine.scene).data
+    solvers = [kind(machine) for kind in (kkt.System, caba.Clusters)]
+    for q, qd, tau in cases.random_states(machine.scene, 3):
+        data.system.tau[:] = tau
+        data.system.native.evaluate(q, qd)
+        turns = np.zeros((2, len(qd)))
+        for one in solvers:
+            angles = q[one.angles]
+            turns[:, :len(angles)] = np.cos(angles), np.sin(angles)
+            found = one.function(q, qd, tau, *turns).full()[:, 0]
+            assert np.abs(found - data.system.qdd).max() < 1e-11 * np.abs(found).max()
+
+
+def test_clusters_take_operations_in_proportion_to_their_number(benchmark):
+    pytest.importorskip('casadi')
+    caba, kkt = benchmark('peer_clusters').Clusters, benchmark('peer_generated')
+    counts = [sum(kkt.operations(of_tower(benchmark, loops), caba).values())
+              for loops in (1, 2, 3, 4)]
+    # The first and the last four-bar carry less, or are carried by the free body.
+    np.testing.assert_allclose(np.diff(counts), np.diff(counts).mean(), rtol=0.05)
+    joints = [sum(kkt.operations(of_tower(benchmark, loops)).values()) for loops in (1, 2, 3, 4)]
+    # The inertia matrix of all joints grows with the square.
+    assert np.diff(joints, 2).min() > 0 and counts[3] < joints[3]
+
+
+def test_operations_of_other_solvers_are_shown_beside_ours(benchmark):
+    count = benchmark('operation_count')
+    ours = count.count(count.models()['four_bar'])
+    text = count.table({'counts': dict.fromkeys(('four_bar', 'rack_press'), ours), 'rivals': {
+        'four_bar': {'KKT': 1234, 'C-ABA': 567}}})
+    header, _, *rows = ([cell.strip() for cell in line.split('|')] for line in text.splitlines())
+    shown = [[row[header.index(name)] for name in ("a KKT system's", "C-ABA's")] for row in rows]
+    assert shown == [['1234', '567'], ['-', '-']]
+
+
+def test_why_a_simulator_is_left_out_is_shown_in_its_place(benchmark):
+    row = {'tree': 'shipped', 'what': 'evaluation', 'best': 1e-6, 'error': 0.0, 'version': '1'}
+    ours, other = ({**row, 'engine': name} for name in ('closedloop_dynamics', 'Other'))
+    rows = {'small': [ours, {**other, 'best': 2e-6}], 'large': [ours]}
+    report, result = benchmark('peer_report'), {
+        'evaluation': rows, 'agreement': rows, 'motions': [],
+        'left out': {'small': {}, 'large': {'Other': 'too large'}}}
+    assert report.evaluation_table(result).splitlines()[-1] == (
+        '| Other | evaluation | 2 us (2.00) | too large |')
+    assert report.agreement_table(result).splitlines()[-1] == '| Other 1 | 0e+00 | - |'
 
 
 def test_a_simulator_that_was_given_another_machine_is_refused(benchmark):
