@@ -20,7 +20,8 @@ from typing import Optional
 from .effect import Effect
 from .element import DISSIPATED, ForceElement, State
 from .force_law import BOUNDARY, force_law
-from ..codegen.expression_graph import chosen, larger
+from .limits import beyond
+from ..codegen.expression_graph import larger
 from ..mechanism.checks import freedom, not_negative, number, positive
 from ..mechanism.fields import FieldError
 
@@ -73,11 +74,7 @@ class EndStop(Effect):
 def end_stop(forces):
     stiffness, lower, upper, damping = forces.values[:4]
     joint = forces.joint
-    above, below = joint.value - upper, lower - joint.value
-    low = below > above
-    sign, depth = chosen(low, -1.0, 1.0), chosen(low, below, above)
-    rate = sign * joint.rate
-    depth = chosen(forces.touches(-depth, -rate), depth, 0.0)
+    sign, depth, rate = beyond(forces, joint.value, joint.rate, lower, upper)
     elastic = stiffness * depth
     push = elastic * larger(1.0 + damping * rate, 0.0)
     joint.push(-(sign * push))

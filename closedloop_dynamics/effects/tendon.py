@@ -19,8 +19,8 @@ from typing import Tuple, Union
 
 from .along_joints import AlongJoints
 from .element import DISSIPATED, ForceElement, State
-from .force_law import force_law
-from ..codegen.expression_graph import larger, smaller
+from .force_law import EVENT, force_law, NO_GAP
+from .limits import beyond
 from ..mechanism.checks import list_of, number
 from ..mechanism.fields import FieldError, shown
 
@@ -77,15 +77,20 @@ class Tendon(AlongJoints):
         return ForceElement(
             elastic_tendon, **self.along(machine),
             values=(*self.rest, float(len(self.stiffness)), float(len(self.damping))),
-            states=(State(DISSIPATED),), data=(self.lengths, springs, dampers))
+            states=(State(DISSIPATED),), gap=EVENT if self.rest[0] < self.rest[1] else NO_GAP,
+            data=(self.lengths, springs, dampers))
 
 
-@force_law(terms=lambda row: tuple(row.values[2:4].astype(int).tolist()))
+@force_law(terms=lambda row: (*row.values[2:4].astype(int).tolist(),
+                              bool(row.values[0] < row.values[1])))
 def elastic_tendon(forces):
     (least, most), tendon = forces.values[:2], forces.joint
-    springs, dampers = forces.terms or (MOST, MOST)
+    springs, dampers, plays = forces.terms or (MOST, MOST, True)
     length, rate = tendon.value, tendon.rate
-    stretch = length - larger(least, smaller(most, length))
+    stretch = length - least
+    if plays:
+        sign, depth, _ = beyond(forces, length, rate, least, most)
+        stretch = sign * depth
     tension, stored, power = 0.0, 0.0, stretch
     for exponent, stiffness in enumerate(forces.entries(0, springs), start=2):
         tension = tension + stiffness * power

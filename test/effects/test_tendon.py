@@ -57,6 +57,11 @@ def test_the_balance_closes_and_the_joints_stay_in_proportion():
 
 def test_a_range_of_rest_is_an_end_stop_at_both_ends():
     for start in (-0.25, 0.0, 0.35):
-        one, other = (simulated(block(), {'stop': stop}, [start]) for stop in (
+        one, other = (simulated(block(), {'stop': stop}, [start], integrator='auto') for stop in (
             Tendon({'slide': 1.0}, 1e3, rest=(-0.2, 0.3)), EndStop('slide', 1e3, -0.2, 0.3)))
         assert one.acceleration[0] == pytest.approx(other.acceleration[0], rel=1e-12)
+        for simulation in (one, other):
+            simulation.step([20.0], 1.0)
+        # Steps end where it begins to pull.
+        assert one.stepping.run.steps.accepted == other.stepping.run.steps.accepted
+        assert one.position[0] == pytest.approx(other.position[0], abs=1e-12)
