@@ -193,6 +193,7 @@ Status ExplicitStep::make(const System & system, Interrupt & interrupt) const
     // Two half steps rather than a full and a tiny one.
     size = size >= rest ? rest : size > 0.5 * rest ? std::min(size, 0.5 * rest) : size;
   }
+  const double tried = size;
   bool rejected = false, closed = true, extended = false;
   int cuts = 0;
   double error = 0.0;
@@ -282,6 +283,7 @@ Status ExplicitStep::make(const System & system, Interrupt & interrupt) const
   }
   control.step_start = reached;
   control.step_size = size;
+  control.tried = rejected ? 0.0 : tried;
   control.reached += size;
   // A step cut short is no reason to reduce the size to try next.
   control.next_step =

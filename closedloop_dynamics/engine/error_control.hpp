@@ -27,6 +27,8 @@ struct StepControl
   double step_start = 0.0;
   double step_size = 0.0;
   double extended = 0.0;  ///< Whether its slopes for dense output are complete
+  /// The size that it was tried with before events cut it [s]; 0 where its error did.
+  double tried = 0.0;
   /// Steps since the count began.
   double accepted = 0.0;
   double rejected = 0.0;

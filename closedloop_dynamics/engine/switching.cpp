@@ -223,14 +223,15 @@ void SwitchingSteps::set_reference_back()
 }
 
 /// Whether the reference run would make the step that the run has just made: both were in one
-/// state, and neither tolerance, but the time for which torques are held, limits their steps.
+/// state, and neither tolerance, but the time for which torques are held, or an event before its
+/// end, limits their steps.
 bool SwitchingSteps::same_for_reference()
 {
   SwitchingControl & control = run_.control, & other = reference_.control;
-  const double start = control.step_start, size = control.step_size;
+  const double start = control.step_start;
   const double rest = control.restarted + control.hold - start;
-  if (control.stiff != 0.0 || other.stiff != 0.0 ||
-    size != rest || !(other.next_step >= rest) || other.reached != start ||
+  if (control.stiff != 0.0 || other.stiff != 0.0 || !(rest > 0.0) ||
+    control.tried != rest || !(other.next_step >= rest) || other.reached != start ||
     other.restarted != control.restarted ||
     other.hold != control.hold)
   {

@@ -5,17 +5,19 @@
 from dataclasses import replace
 
 from closedloop_dynamics import load_scene, Method, scene_names, Simulation
+from closedloop_dynamics.effects.end_stop import EndStop
 from closedloop_dynamics.engine.types import EVALUATIONS
 import numpy as np
 import pytest
 
+from ..effects.machines import block, simulated
 from ..reference import cases, famous, peaucellier
 
 # An accuracy counts as kept up to this factor.
 KEPT = 3.0
 # Where the memory of the method has whether its error is monitored, and when that changes: behind
 # the control records of both runs (``engine/switching.hpp``).
-OPEN, UNTIL = 50, 51
+OPEN, UNTIL = 52, 53
 
 
 def worst_error(scene, torque, accuracy, change=None, duration=1.0):
@@ -187,6 +189,15 @@ def test_the_run_does_not_depend_on_its_companion(rate):
         free.stepping.run.recall(whole)
     assert free.stepping.monitor.work[1] < 0.1 * watched.stepping.monitor.work[0]
     assert np.array_equal(free.data.integrated, watched.data.integrated)
+
+
+def test_the_companion_takes_the_steps_that_events_end():
+    stop = EndStop('slide', 1e4, lower=-0.01, upper=0.01)
+    simulation = simulated(block(), {'stop': stop}, [0.0], [1.0], integrator='auto')
+    for number in range(500):
+        simulation.advance(simulation.joint_torques([1e-9 * number]), 1)
+    own, companion = simulation.stepping.monitor.work
+    assert companion < 0.02 * own
 
 
 def test_without_new_torques_the_steps_are_those_of_dop853():
