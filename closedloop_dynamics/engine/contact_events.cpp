@@ -595,6 +595,11 @@ void forget_trials(const System & system)
   }
 }
 
+void forget_rates(const System & system)
+{
+  clear(system.effects.contacts);
+}
+
 double ContactSearch::examine(const System & system, Values state, double size, double & share)
 {
   const EffectTable & effects = system.effects;
@@ -608,9 +613,6 @@ double ContactSearch::examine(const System & system, Values state, double size, 
     found = examine_interval(effects, size, found.sought, share);
   }
   sought = found.sought;
-  if (share < 0.0) {
-    clear(effects.contacts);
-  }
   return found.part;
 }
 

@@ -49,6 +49,9 @@ void release_modes(const System &);
 /// does not bear on them.
 void forget_trials(const System &);
 
+/// Clear the rates alone, before another trial.
+void forget_rates(const System &);
+
 /// The search for the instant at which a contact begins or ends within a step.
 struct ContactSearch
 {

@@ -22,7 +22,7 @@ namespace
 {
 // Hairer's choices: change the step gently.
 constexpr double LARGEST_GROWTH = 6.0, LARGEST_CUT = 0.2;
-// Smaller errors of the step before do not show a trend.
+// Smaller errors of the step before do not show a trend, and dense output is as good as the step.
 constexpr double SIGNIFICANT = 1e-2;
 // Guesses of the first step, each this many times the one before.
 constexpr int GUESSES = 4;
@@ -127,8 +127,8 @@ void ExplicitStep::begin(double time, Values state) const
 void ExplicitStep::interpolate_at(const System & system, double time, Values out) const
 {
   const Values before = scratch[scratch::BEFORE];
-  const double size = control.step_size;
-  if (size == 0.0 || !is_before(time, control.reached)) {
+  const double size = control.span;
+  if (control.step_size == 0.0 || !is_before(time, control.reached)) {
     copy(scratch[scratch::AFTER], out);
     return;
   }
@@ -196,7 +196,7 @@ Status ExplicitStep::make(const System & system, Interrupt & interrupt) const
   const double tried = size;
   bool rejected = false, closed = true, extended = false;
   int cuts = 0;
-  double error = 0.0;
+  double error = 0.0, span = 0.0;
   const double size_before = control.step_size;
   const double error_before = std::max(control.error, SIGNIFICANT);
   if (system.has_effects()) {
@@ -220,28 +220,42 @@ Status ExplicitStep::make(const System & system, Interrupt & interrupt) const
     }
     error = error_norm(tableau, size, slopes, after, out, scale);
     extended = false;
+    span = size;
     const auto state_at = [&](double share) {
         if (!extended) {
-          extend_slopes(system, tableau, after, size, slopes, stage);
+          extend_slopes(system, tableau, after, span, slopes, stage);
           extended = true;
         }
-        interpolate(tableau, after, size, slopes, share, stage);
+        interpolate(tableau, after, span, slopes, share * (size / span), stage);
         normalise(system.manifold, stage);
         return stage;
       };
     // Written so that a NaN counts as an error too large.
     if (error <= 1.0) {
+      // Where the step is good, events end it at states of dense output: it is not repeated.
+      const bool dense = error <= SIGNIFICANT && contacts.sought < 0;
+      const auto end_at = [&](double part) {
+          copy(state_at(part / size), out);
+          size = part;
+          return size;
+        };
       const double part = locate_stick_event(
         system, after, out, size,
         std::max(least_part(std::max(size, wanted), cuts), LEAST * std::abs(reached)), state_at);
-      if (part < size) {
+      if (part < size && dense) {
+        end_at(part);
+      } else if (part < size) {
         size = part;
         ++cuts;
         contacts.sought = -1;
         forget_trials(system);
         continue;
       }
-      const double touched = contacts.part(system, out, size, state_at);
+      double touched = contacts.part(system, out, size, state_at);
+      while (dense && touched != size && contacts.sought >= 0 && touched > least) {
+        touched = contacts.part(system, out, end_at(touched), state_at);
+      }
+      forget_rates(system);
       if (touched != size) {
         size = contacts.sought >= -1 ? touched : size;
         ++cuts;
@@ -283,6 +297,7 @@ Status ExplicitStep::make(const System & system, Interrupt & interrupt) const
   }
   control.step_start = reached;
   control.step_size = size;
+  control.span = span;
   control.tried = rejected ? 0.0 : tried;
   control.reached += size;
   // A step cut short is no reason to reduce the size to try next.

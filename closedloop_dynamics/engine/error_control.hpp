@@ -27,6 +27,7 @@ struct StepControl
   double step_start = 0.0;
   double step_size = 0.0;
   double extended = 0.0;  ///< Whether its slopes for dense output are complete
+  double span = 0.0;  ///< Size of the step that its slopes are of, longer where an event cut it [s]
   /// The size that it was tried with before events cut it [s]; 0 where its error did.
   double tried = 0.0;
   /// Steps since the count began.

@@ -322,6 +322,7 @@ Status StiffStep::make(
         system, state, out, used, std::max(least_part(whole, cuts), least), state_at);
       if (!(part < used)) {
         part = contacts.part(system, out, used, state_at);
+        forget_rates(system);
         if (part == used) {
           break;
         }

@@ -23,6 +23,23 @@ def test_an_elastic_stop_returns_the_block_after_half_a_period(side):
     assert_balanced(simulation, 1e-7)
 
 
+def test_a_step_that_a_stop_cuts_is_not_repeated():
+    stop = EndStop('slide', 400.0, lower=-0.1, upper=0.1)
+    simulation = simulated(
+        block(), {'stop': stop}, [0.0], [1.0], step_size=2e-3, integrator='dop853')
+    before, half, worst = simulation.health.evaluations, 0.2 + np.pi / 20.0, 0.0
+    for number in range(1, 501):
+        simulation.step([1e-13 * number], 2e-3)
+        side, time = divmod(2e-3 * number, half)
+        exact = time if time < 0.1 else half - time if time > half - 0.1 else (
+            0.1 + 0.05 * np.sin(20.0 * (time - 0.1)))
+        worst = max(worst, abs(simulation.position[0] - (-1.0) ** side * exact))
+    assert worst < 1e-9
+    # Five events, each of which takes dense output and guesses of the next step.
+    accepted = simulation.stepping.run.steps.accepted
+    assert simulation.health.evaluations - before < 12 * (accepted + 6)
+
+
 def test_damping_sets_the_restitution_and_never_pulls():
     restitution = 0.9
     stop = EndStop('slide', 1e4, upper=0.0, damping=1.5 * (1.0 - restitution))

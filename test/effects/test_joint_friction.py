@@ -71,6 +71,23 @@ def test_a_rest_is_found_by_dense_output():
     assert simulation.health.evaluations - before < 1000
 
 
+@pytest.mark.parametrize('integrator, stages', [('dop853', 12), ('dopri5', 7)])
+def test_a_step_that_a_rest_cuts_is_not_repeated(integrator, stages):
+    simulation = oscillator(integrator=integrator, step_size=2e-3)
+    before, worst = simulation.health.evaluations, 0.0
+    for number in range(1, 801):
+        # Another torque for every step, which is short, then, and accurate.
+        simulation.step([1e-13 * number], 2e-3)
+        half = min(4, int(2e-3 * number / (0.1 * np.pi)))
+        swing = min(0.02 * number - np.pi * half, np.pi)
+        worst = max(worst, abs(simulation.position[0] - (-1.0) ** half * (
+            0.01 + (0.095 - 0.02 * half) * np.cos(swing))))
+    assert worst < 2e-9
+    # Five rests, each of which takes the evaluations of its dense output.
+    accepted = simulation.stepping.run.steps.accepted
+    assert simulation.health.evaluations - before < stages * (accepted + 5)
+
+
 def test_first_order_steps_come_to_rest_too():
     simulation = oscillator(integrator='semi_implicit_euler', step_size=1e-4)
     simulation.step(duration=2.0)
