@@ -139,8 +139,8 @@ bool has(const EffectTable & effects, Index row, const Needs & needs, bool plana
 
 StaticFriction::StaticFriction(Index effects, Index most, Index width)
 : rows(most + 1), hold(effects), response(most + 1, width), matrix(most, most), right(most),
-  bound(most), move(most), factor(most, most), free(most), share(most), impulse(most),
-  kept(most + 2), kept_limit(most) {}
+  bound(most), move(most), factor(most, most), free(most), share(most), holds(effects),
+  load(2), impulse(most), kept(most + 2), kept_limit(most) {}
 
 Contacts::Contacts(Index effects, Array<Indices> rows)
 : rows(std::move(rows)), mode(effects), now(effects, contact::NODE_COLUMNS),

@@ -103,6 +103,10 @@ struct StaticFriction
   Array<Indices> free;
   /// Friction relative to its limit.
   Array<Values> share;
+  /// Shape (ne,): whether a friction holds its joint whatever the load; shape (2,): the largest share
+  /// of these, in the latest evaluation and in any of a step.
+  Array<Indices> holds;
+  Array<Values> load;
   Array<Values> impulse;
   /// Shape (nf + 2,): whether responses are kept for later evaluations of a step, how many are, and
   /// their rows; shape (nf,): the limits that they are responses to.
@@ -114,8 +118,8 @@ struct StaticFriction
   StaticFriction(Index effects, Index most, Index width);
 
   CLOSEDLOOP_ARRAYS(
-    rows, hold, response, matrix, right, bound, move, factor, free, share, impulse, kept,
-    kept_limit)
+    rows, hold, response, matrix, right, bound, move, factor, free, share, holds, load, impulse,
+    kept, kept_limit)
 };
 
 /// Gaps of possible contacts, and the decisions about them while a step is made.

@@ -103,6 +103,22 @@ double first_step(
   return guess;
 }
 
+/// The part of a step after which a joint at rest breaks away [s]; zero where its load is too much only
+/// in between. `state_at(share)` returns a state between.
+template<class StateAt>
+double locate_breakaway(
+  const System & system, const HeldJoints & held, Values out, double size, StateAt && state_at)
+{
+  const auto margin = [&](Values state) {
+      evaluate_state(system, state);
+      return BREAKAWAY - held.load();
+    };
+  const double end = margin(out);
+  return !(end < -NEAR_BREAKAWAY) ? 0.0 : first_zero(
+    size, BREAKAWAY - held.load_at_start(), end, NEAR_BREAKAWAY,
+    [&](double part) {return margin(state_at(part / size));});
+}
+
 /// Evaluate the slopes that only dense output needs.
 void extend_slopes(
   const System & system, const Tableau & tableau, Values state, double size, Table slopes,
@@ -170,6 +186,7 @@ Status ExplicitStep::make(const System & system, Interrupt & interrupt) const
     derivative(system, after, slopes[0]);
   }
   ContactSearch contacts;
+  HeldJoints held(system.effects);
   if (control.step_size > 0.0) {
     double turned = 0.0, moved = 0.0;
     for (Index i = 0; i < count; ++i) {
@@ -212,6 +229,7 @@ Status ExplicitStep::make(const System & system, Interrupt & interrupt) const
       release_modes(system);
       return Status::INTERRUPTED;
     }
+    held.begin_step();
     step(system, tableau, after, size, slopes, stage, out);
     control.work += static_cast<double>(stages);
     copy(stage, last);
@@ -239,9 +257,9 @@ Status ExplicitStep::make(const System & system, Interrupt & interrupt) const
           size = part;
           return size;
         };
-      const double part = locate_stick_event(
-        system, after, out, size,
-        std::max(least_part(std::max(size, wanted), cuts), LEAST * std::abs(reached)), state_at);
+      const double floor =
+        std::max(least_part(std::max(size, wanted), cuts), LEAST * std::abs(reached));
+      const double part = locate_stick_event(system, after, out, size, floor, state_at);
       if (part < size && dense) {
         end_at(part);
       } else if (part < size) {
@@ -259,6 +277,18 @@ Status ExplicitStep::make(const System & system, Interrupt & interrupt) const
       if (touched != size) {
         size = contacts.sought >= -1 ? touched : size;
         ++cuts;
+        continue;
+      }
+      const double broken = held.is_overloaded() ?
+        locate_breakaway(system, held, out, size, state_at) : size;
+      if (broken < size && dense && broken > floor) {
+        end_at(broken);
+      } else if (broken < size) {
+        // One that breaks away at once slides from the start.
+        size = broken > floor ? broken : held.release(size);
+        ++cuts;
+        contacts.sought = -1;
+        forget_trials(system);
         continue;
       }
       if (stabilise(system, stabilisation, out)) {
@@ -282,6 +312,7 @@ Status ExplicitStep::make(const System & system, Interrupt & interrupt) const
   copy(after, before);
   copy(out, after);
   release_modes(system);
+  held.release(size);
   responses.renew();
   update_friction_modes(system, after);
   if (system.has_effects()) {

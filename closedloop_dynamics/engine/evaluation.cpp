@@ -382,6 +382,7 @@ void complete(const System & system, Values q, Values qd, Factors factors)
   }
   if (system.effects.static_friction.rows[0] > 0) {
     hold_joints_at_rest(system, q, qd, factors);
+    store_load(system.effects);
   }
   if (system.effects.motions.rows > 0) {
     output_driving_forces(system.effects, system.lam);

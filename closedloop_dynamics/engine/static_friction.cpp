@@ -3,6 +3,7 @@
 
 #include "static_friction.hpp"
 
+#include <algorithm>
 #include <cmath>
 #include <limits>
 
@@ -114,7 +115,8 @@ bool stays_at_rest(const EffectTable & table, Index index)
 {
   const StaticFriction & static_friction = table.static_friction;
   return table.role[static_friction.rows[index + 1]] != effect::INERTIA &&
-         std::fabs(static_friction.share[index]) < 1.0 && static_friction.matrix(index, index) > 0.0;
+         std::fabs(static_friction.share[index]) < static_friction.bound[index] &&
+         static_friction.matrix(index, index) > 0.0;
 }
 }  // namespace
 
@@ -237,7 +239,8 @@ void balance_friction(const EffectTable & table, Values qdd, Values lam)
     const Index row = static_friction.rows[a + 1];
     const double limit = table.output(row, 3);
     static_friction.right[a] = limit * along(table, row, base);
-    static_friction.bound[a] = 1.0;
+    static_friction.bound[a] =
+      static_friction.holds[row] == 1 ? std::numeric_limits<double>::infinity() : 1.0;
     for (Index b = 0; b < count; ++b) {
       static_friction.matrix(a, b) = limit * along(table, row, response[b]);
     }
@@ -273,6 +276,55 @@ void balance_friction(const EffectTable & table, Values qdd, Values lam)
   }
 }
 
+HeldJoints::HeldJoints(const EffectTable & effects)
+: effects_(effects)
+{
+  const StaticFriction & static_friction = effects.static_friction;
+  for (Index a = 0; static_friction.rows.size > 0 && a < static_friction.rows[0]; ++a) {
+    if (stays_at_rest(effects, a)) {
+      static_friction.holds[static_friction.rows[a + 1]] = 1;
+      any_ = true;
+      start_ = std::max(start_, std::fabs(static_friction.share[a]));
+    }
+  }
+}
+
+double HeldJoints::release(double size)
+{
+  if (any_) {
+    effects_.static_friction.holds.fill(0);
+    any_ = false;
+  }
+  return size;
+}
+
+void HeldJoints::begin_step() const
+{
+  if (any_) {
+    effects_.static_friction.load.fill(0.0);
+  }
+}
+
+bool HeldJoints::is_overloaded() const
+{
+  return any_ && effects_.static_friction.load[1] > BREAKAWAY + NEAR_BREAKAWAY;
+}
+
+double HeldJoints::load() const {return effects_.static_friction.load[0];}
+
+void store_load(const EffectTable & effects)
+{
+  const StaticFriction & static_friction = effects.static_friction;
+  double most = 0.0;
+  for (Index a = 0; a < static_friction.rows[0]; ++a) {
+    if (static_friction.holds[static_friction.rows[a + 1]] == 1) {
+      most = std::max(most, std::fabs(static_friction.share[a]));
+    }
+  }
+  static_friction.load[0] = most;
+  static_friction.load[1] = std::max(static_friction.load[1], most);
+}
+
 void hold_by_responses(const EffectTable & table, Values qdd, Values lam)
 {
   const StaticFriction & static_friction = table.static_friction;
@@ -296,6 +348,7 @@ void hold_by_responses(const EffectTable & table, Values qdd, Values lam)
     table.applied.fill(0.0);
     keep_frictionless(table, qdd, lam);
     balance_friction(table, qdd, lam);
+    store_load(table);
   }
 }
 

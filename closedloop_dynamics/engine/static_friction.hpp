@@ -81,6 +81,39 @@ private:
   const EffectTable & effects_;
 };
 
+/// A load that a friction no longer holds, relative to its limit, and by how much it may be missed:
+/// a joint that bears it slides in the next evaluation.
+constexpr double BREAKAWAY = 1.0 + 1e-6, NEAR_BREAKAWAY = 5e-7;
+
+/// From here to the end of a step, joints that are held are held whatever the load, so that the
+/// motion is smooth. The instant at which one of them breaks away is located, as those of contacts.
+class HeldJoints
+{
+public:
+  /// After the evaluation at the start.
+  explicit HeldJoints(const EffectTable &);
+  ~HeldJoints() {release();}
+  HeldJoints(const HeldJoints &) = delete;
+  HeldJoints & operator=(const HeldJoints &) = delete;
+  /// Hold them up to their limits again; returns what is given.
+  double release(double size = 0.0);
+  /// Before the evaluations of a step.
+  void begin_step() const;
+  /// Whether any of these loaded one beyond its limit.
+  bool is_overloaded() const;
+  /// The largest load in the latest evaluation, relative to the limit, and that at the start.
+  double load() const;
+  double load_at_start() const {return start_;}
+
+private:
+  const EffectTable & effects_;
+  bool any_ = false;
+  double start_ = 0.0;
+};
+
+/// Store the largest load of the joints held whatever the load, after friction is balanced.
+void store_load(const EffectTable &);
+
 /// Do the same after the routine that writes the response to each friction and its limit, to
 /// StaticFriction.response and, in place of the right-hand side, StaticFriction.right.
 void hold_by_responses(const EffectTable &, Values qdd, Values lam);

@@ -36,44 +36,55 @@ Rest first_rest(const System &, Values before, Values after, double size, double
 /// Rate, forward before the step, of the joint of a friction in a state [rad/s; m/s].
 double forward_rate(const System &, Index row, Values before, Values state);
 
+/// Where a function is zero, to `near`, between 0 with the value `start` and `high` with `end` less
+/// than zero: by regula falsi that halves the end that stays (Illinois).
+template<class Function>
+double first_zero(double high, double start, double end, double near, Function && function)
+{
+  constexpr int MOST_ITERATIONS = 50;
+  double low = 0.0, found = high;
+  for (int k = 0, stayed = 0; k < MOST_ITERATIONS; ++k) {
+    found = low + (high - low) * start / (start - end);
+    const double value = function(found);
+    if (std::abs(value) <= near) {
+      break;
+    }
+    if (value < 0.0) {
+      high = found;
+      end = value;
+      start *= stayed < 0 ? 0.5 : 1.0;
+      stayed = -1;
+    } else {
+      low = found;
+      start = value;
+      end *= stayed > 0 ? 0.5 : 1.0;
+      stayed = 1;
+    }
+  }
+  return found;
+}
+
 /// The part of a step on which no joint turns round [s]; `size` where the step may be taken. A
 /// smaller one is an estimate, to be tried; parts of `floor` or less are not worth a step.
 /// `state_at(share)` returns a state between, by dense output: the rest is found there without
-/// evaluations, by regula falsi that halves the end that stays (Illinois).
+/// evaluations.
 template<class StateAt>
 double locate_stick_event(
   const System & system, Values before, Values after, double size, double floor,
   StateAt && state_at)
 {
-  constexpr int MOST_ITERATIONS = 50;
   // Midway between at rest and turned round.
   constexpr double AIM = 0.5 * ARRIVED, NEAR = 0.25 * ARRIVED;
   double found = size;
   Rest rest = first_rest(system, before, after, size, floor);
   // Another joint may have turned round before.
   for (Index n = 0; rest.row >= 0 && n < system.effects.count(); ++n) {
-    double low = 0.0, high = found, start = rest.start + AIM, end = rest.end + AIM;
     Values state = after;
-    found = rest.part;
-    for (int k = 0, stayed = 0; k < MOST_ITERATIONS; ++k) {
-      state = state_at(found / size);
-      const double rate = forward_rate(system, rest.row, before, state) + AIM;
-      if (std::abs(rate) <= NEAR) {
-        break;
-      }
-      if (rate < 0.0) {
-        high = found;
-        end = rate;
-        start *= stayed < 0 ? 0.5 : 1.0;
-        stayed = -1;
-      } else {
-        low = found;
-        start = rate;
-        end *= stayed > 0 ? 0.5 : 1.0;
-        stayed = 1;
-      }
-      found = low + (high - low) * start / (start - end);
-    }
+    found = first_zero(
+      found, rest.start + AIM, rest.end + AIM, NEAR, [&](double part) {
+        state = state_at(part / size);
+        return forward_rate(system, rest.row, before, state) + AIM;
+      });
     rest = first_rest(system, before, state, found, floor);
   }
   return found;

@@ -7,12 +7,13 @@ from dataclasses import replace
 
 from closedloop_dynamics import Body, codegen, Joint, load_scene, Mechanism, Method, Simulation
 from closedloop_dynamics.codegen import TORQUE_RESPONSE
-from closedloop_dynamics.effects.registry import Gravity, JointFriction, JointSpring
+from closedloop_dynamics.effects.registry import (
+    Gravity, JointFriction, JointSpring, PrescribedForce)
 from closedloop_dynamics.mechanism.mechanism import REVOLUTE
 from closedloop_dynamics.scene.integrators import INTEGRATORS
 import numpy as np
 import pytest
-from scipy.optimize import lsq_linear
+from scipy.optimize import brentq, lsq_linear
 
 from .machines import assert_balanced, block, pendulum, simulated, slider_crank
 from ..reference import cases, dense, maximal
@@ -158,6 +159,33 @@ def test_a_ramped_load_breaks_away_at_the_static_limit():
             assert simulation.position[0] == 0.0
     assert simulation.velocity[0] == pytest.approx(1.0, rel=1e-6)
     assert simulation.position[0] == pytest.approx(1.0 / 3.0, rel=1e-5)
+
+
+@pytest.mark.parametrize('count', [4, 8])
+def test_joints_break_away_where_their_loads_reach_the_limit(count):
+    blocks = Mechanism(
+        'blocks', tuple(Body(f'block_{k}', 1.0, (0.0, 0.0), 0.1) for k in range(count)),
+        tuple(Joint(f'slide_{k}', 'prismatic', 'ground', f'block_{k}', (0.0, 0.0), 0.0, True)
+              for k in range(count)), (), ())
+    # The first load is too much for 0.02 s alone.
+    pushes, omega = 1.002 + 0.3 * np.arange(count), 2.0 * np.pi
+    simulation = simulated(blocks, {
+        **{f'friction_{k}': JointFriction(f'slide_{k}', 1.0) for k in range(count)},
+        **{f'push_{k}': PrescribedForce('sine', f'slide_{k}', amplitude=push, frequency=1.0)
+           for k, push in enumerate(pushes)}}, np.zeros(count), integrator='auto', step_size=2e-3)
+    simulation.step(duration=0.5)
+    for push, place in zip(pushes, simulation.position):
+        start = np.arcsin(1.0 / push) / omega
+
+        def rate(time):
+            return push / omega * (np.cos(omega * start) - np.cos(omega * time)) - time + start
+        end = brentq(rate, 0.5 - start, 1.0) if rate(0.5) < 0.0 else 0.5
+        moved = end - start
+        exact = push / omega * np.cos(omega * start) * moved - 0.5 * moved ** 2
+        exact -= push / omega ** 2 * (np.sin(omega * end) - np.sin(omega * start))
+        assert place == pytest.approx(exact, abs=1e-10)
+    # Error control alone would reject a step or more for each.
+    assert simulation.stepping.run.steps.rejected < 10
 
 
 def test_several_frictions_in_one_joint_hold_together():
