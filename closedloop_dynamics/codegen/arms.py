@@ -569,7 +569,8 @@ def _turn(recursion, model, plan, joints, rows, found):
     for i in plan.carriers(body):
         if i in joints:
             columns[i] = [dot(views[i].motion.axis, wrench) for wrench in wrenches]
-        wrenches = [views[i].at_parent(wrench) for wrench in wrenches]
+        wrenches = [views[i].at_parent(ZERO + wrench[3:] if i in plan.angles else wrench)
+                    for wrench in wrenches]
     if columns.keys() == set(joints) and _symbols(sum(columns.values(), [])) <= len(joints):
         found.turn(rows, views[body].axes, columns)
 

@@ -151,8 +151,7 @@ class Symbol:
         if _is(other, 0.0):
             return self
         if isinstance(other, Symbol) and other._operation() == NEGATE:
-            both = self._operation() == NEGATE
-            return -(self._negated() + other._negated()) if both else self - other._negated()
+            return self - other._negated()
         return self._put(ADD, self, other)
 
     def __radd__(self, other):
@@ -283,6 +282,13 @@ def chosen(condition, yes, no):
     if isinstance(condition, bool):
         return yes if condition else no
     return condition._put(CHOOSE, condition, yes, no)
+
+
+def with_one_sign(one, other):
+    """Return a sum, that of two negative terms as the negative sum: with others it is one."""
+    negative = all(isinstance(term, Symbol) and term._operation() == NEGATE
+                   for term in (one, other))
+    return -(-one + -other) if negative else one + other
 
 
 def smaller(first, second):

@@ -15,6 +15,7 @@ and the reduced unit forces L^-1 J^T are the same numbers, at less cost in chain
 from typing import NamedTuple
 
 from . import elimination, forward_dynamics
+from .expression_graph import with_one_sign
 from .spatial import at_parent, BodyKinematics, Recursion, rotation, turned_frame, X, Z
 from .vectors import (
     add, cross, dot, IDENTITY, in_blocks, is_number, is_zero, product, scale, skew, symmetric,
@@ -293,7 +294,8 @@ class JointSpace(Recursion):
 
     def about_center(self, i, wrench):
         """Return a wrench on a floating body, at its origin, about its centre of mass."""
-        return at_parent(wrench, self.centers.get(i, ZERO))
+        more = cross(self.centers.get(i, ZERO), wrench[3:])
+        return (*map(with_one_sign, wrench[:3], more), *wrench[3:])
 
     def _in_world(self, i, wrench):
         axes = self.views[i].axes
