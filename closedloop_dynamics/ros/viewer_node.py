@@ -215,6 +215,12 @@ class RemoteSimulator(Shown):
     def _on_state(self, message):
         self._heard = time.monotonic()
         self._take((self._position, self._velocity, self._effort), message)
+        if self._commands is not None and not self._followed:
+            # At each state: another source of commands may take over at once.
+            torques = self._torques
+            self._followed = bool(torques) and all(
+                self._effort[self._names.index[name]] == torque
+                for name, torque in torques.items())
         stamp = 1e-9 * stamp_of(message)
         if self._start is None or stamp < self._start:
             self._start = stamp
@@ -393,18 +399,17 @@ class RemoteSimulator(Shown):
         self._commands.publish(JointState(name=list(self.drives), effort=efforts))
         self._commanded_at = time.monotonic()
 
+    @property
+    def _torques(self):
+        """Return the torques that pages ask for, by joint, but for zeros."""
+        return {name: value for name, (mode, value, _) in self.drives.items()
+                if mode == TORQUE and value}
+
     def _repeat_command(self):
         """Publish torques again that no state has shown yet."""
-        if self._commands is None or self._followed \
-                or time.monotonic() - self._commanded_at < POLL_PERIOD:
-            return
-        efforts = {name: value for name, (mode, value, _) in self.drives.items()
-                   if mode == TORQUE and value}
-        if efforts:
-            self._followed = all(self._effort[self._names.index[name]] == effort
-                                 for name, effort in efforts.items())
-            if not self._followed:
-                self._command()
+        if self._commands is not None and not self._followed and self._torques and (
+                time.monotonic() - self._commanded_at > POLL_PERIOD):
+            self._command()
 
     # Posing: by a model here, whose state the simulator is given.
 
