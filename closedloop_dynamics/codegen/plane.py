@@ -84,7 +84,7 @@ def structure(model):
 
     Which places and first moments are zero, and which joints its couplings read.
     """
-    zeros = zeros_of_bodies(model), zeros_of_cuts(model)
+    zeros = zeros_of_bodies(model), _zeros_of_cuts(model)
     couplings = model.cut[:, CUT_TYPE] == CUT_COUPLING
     found = (*zeros, model.cut_point[couplings, FACTORS:] != 0.0,
              *coupling_law.structure(model)) if couplings.any() else zeros
@@ -94,40 +94,34 @@ def structure(model):
 
 
 def zeros_of_bodies(model):
-    """
-    Return which constants of bodies are zero and stay so, with the terms they multiply.
-
-    Of bodies of one kind all are: equal arms take equal operations.
-    """
-    found = np.zeros(model.body.shape, dtype=bool)
-    found[:, ZEROS] = model.body[:, ZEROS] == 0.0
-    found &= ~space.varies(model)
-    for alike in space.sisters(model):
-        found[alike] = found[alike].all(axis=0)
-    return found
+    """Return which of ``ZEROS`` are zero and stay so, with the terms they multiply, by body."""
+    found = model.body[:, ZEROS] == 0.0
+    return found & ~space.varies(model)[:, ZEROS] if model.tree[:, VARIES].any() else found
 
 
-def zeros_of_cuts(model):
-    """Return the same of the points of cut joints."""
-    found, rows = np.zeros(model.cut_point.shape, dtype=bool), _with_points(model)
-    found[rows, ZEROS_OF_CUTS] = model.cut_point[rows, ZEROS_OF_CUTS] == 0.0
-    for alike in space.alike_cuts(model, list(space.sisters(model))):
-        found[alike] = found[alike].all(axis=0)
-    return found
+def _zeros_of_cuts(model):
+    """Return the same of ``ZEROS_OF_CUTS``, by cut joint."""
+    kind = model.cut[:, [CUT_TYPE]]
+    # Others have other numbers there.
+    return (model.cut_point[:, ZEROS_OF_CUTS] == 0.0) & (kind != CUT_COUPLING) & (
+        kind != PRESCRIBED_JOINT)
+
+
+def _without(symbols, columns, zeros, groups):
+    """Return symbols, 0 where all of a group of rows are: equal arms take equal operations."""
+    symbols = symbols.copy()
+    for alike in groups:
+        symbols[np.ix_(alike, np.array(columns)[zeros[alike].all(axis=0)])] = 0.0
+    return symbols
 
 
 def without_zeros(model):
     """Return a model with the same structure but for these zeros: all of them are loads."""
     tree, cut_point = model.tree.copy(), model.cut_point.copy()
     tree[:, VARIES] = -1
-    cut_point[_with_points(model), ZEROS_OF_CUTS] = 1.0
+    rows, columns = np.nonzero(_zeros_of_cuts(model))
+    cut_point[rows, np.array(ZEROS_OF_CUTS)[columns]] = 1.0
     return model.replaced(tree=tree, cut_point=cut_point)
-
-
-def _with_points(model):
-    """Return the rows of cut joints that are at points, as a column."""
-    return np.flatnonzero(~np.isin(
-        model.cut[:, CUT_TYPE], (CUT_COUPLING, PRESCRIBED_JOINT)))[:, np.newaxis]
 
 
 def bodies(model, symbols):
@@ -137,7 +131,7 @@ def bodies(model, symbols):
     Quantities without meaning in the plane, such as inertias about axes in it, are zero.
     """
     found = []
-    symbols = np.where(zeros_of_bodies(model), 0.0, symbols)
+    symbols = _without(symbols, ZEROS, zeros_of_bodies(model), space.sisters(model))
     for row, kind in zip(symbols, model.tree[:, TYPE]):
         slides = float(kind == PRISMATIC)
         found.append(Body(
@@ -151,7 +145,8 @@ def bodies(model, symbols):
 
 def cuts(model, symbols):
     """Describe the cut joints of a planar mechanism by symbols, as of ``Model.cut_point``."""
-    symbols = np.where(zeros_of_cuts(model), 0.0, symbols)
+    symbols = _without(symbols, ZEROS_OF_CUTS, _zeros_of_cuts(model), space.alike_cuts(
+        model, list(space.sisters(model))))
     return [_coupling(model, one, values, row)
             if one[CUT_TYPE] in (CUT_COUPLING, PRESCRIBED_JOINT) else
             Cut(*HELD[one[CUT_TYPE]][1:], (row[A_X], row[A_Y], 0.0), (row[B_X], row[B_Y], 0.0),
