@@ -7,10 +7,10 @@ How many floating-point operations an evaluation takes, and how near to its limi
 Counted are the operations of the routine that is generated for a mechanism: nothing is computed
 twice, and nothing that the results do not depend on. A multiplication whose product only one
 addition takes is one operation with it, as in the machine code; among flops it counts as two, as
-it does in those of code that CasADi generates for the same mechanism, wherever it is told the
-mechanism: a KKT system (peer_generated.py) and C-ABA (peer_clusters.py). The longest chain of
-dependent operations bounds the time from below, as do all operations side by side where none are
-in vectors; both by the measured times of single operations in generated code.
+it does in those of code that CasADi generates for the same mechanism, where that can express it:
+a KKT system (peer_generated.py) and C-ABA (peer_clusters.py). The longest chain of dependent
+operations bounds the time from below, as do all operations side by side where none are in vectors;
+both by the measured times of single operations in generated code.
 """
 
 from collections import Counter
@@ -137,7 +137,7 @@ def models():
 
 
 def rivals():
-    """Return {mechanism: {solver: flops}} of those that CasADi is told, if it is there."""
+    """Return {mechanism: {solver: flops}} of those that CasADi can express, if it is installed."""
     found = {}
     try:
         from peer_clusters import Clusters
@@ -154,7 +154,7 @@ def rivals():
                     name: sum(operations(machine, system).values())
                     for name, system in zip(RIVALS, (System, Clusters))}
             except (peer_cases.CannotExpress, peer_cases.NotAdapted):
-                # A mechanism with parts that it is not told.
+                # A mechanism with parts that its systems do not have.
                 continue
     return found
 

@@ -108,7 +108,7 @@ QUICK_PLAN = peer_runner.Plan(
     rounds=2, longest=0.2, enough=0.3)
 
 
-def told(name):
+def machines_of(name):
     """Return {tree: machine} of a scene."""
     return {tree: Machine(name, load_scene(name, tree)) for tree in trees(name)}
 
@@ -152,7 +152,8 @@ def measure(group, quick=False, chosen=(*ENGINES, *GENERATED), folder=None):
         As written to the JSON file.
 
     """
-    machines = {name: told(name) for name in GROUPS[group].scenes} if group != FAMILIES else {
+    machines = {
+        name: machines_of(name) for name in GROUPS[group].scenes} if group != FAMILIES else {
         name_of(path): {SHIPPED: driven_away(published(path), AWAY)} for path in sorted(
             (path for path in files(folder) if name_of(path) in GROUPS[group].scenes),
             key=lambda path: GROUPS[group].scenes.index(name_of(path)))}
@@ -201,7 +202,7 @@ def derivatives(quick=False):
     """Return a table of what all derivatives of accelerations cost, beside ours."""
     rows = []
     for name in DIFFERENTIATED[:2 if quick else None]:
-        machine, built = with_engines(told(name), ENGINES[:3])[0][SHIPPED]
+        machine, built = with_engines(machines_of(name), ENGINES[:3])[0][SHIPPED]
         state = random_states(machine.scene, 1)[0]
         found = peer_runner.evaluation_times(
             [(SHIPPED, engine, state) for engine in built],

@@ -514,7 +514,7 @@ def test_peers_agree(benchmark, engine):
 
 
 def of_tower(benchmark, loops, branches=1):
-    """Return a tower of four-bars in space under gravity, as simulators are told it."""
+    """Return a tower of four-bars in space under gravity, as a machine of the peers."""
     mechanism, position = benchmark('families').tower(loops, branches, (0.8, 1.1, 0.5))
     return benchmark('peer_cases').Machine(mechanism.name, Scene(
         mechanism.name, None, '', mechanism,

@@ -235,7 +235,7 @@ class JointSpace(Recursion):
         floating : dict of int to tuple of int
             Bodies that are roots of their own, and the components of their motion.
         angles : collection of int
-            Rows that no joint turns but their own, whose parallel axes are counted in the world.
+            Rows whose unknowns are accelerations of angles in the world, as of ``arms.Plan``.
 
         Returns
         -------

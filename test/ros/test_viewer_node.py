@@ -95,7 +95,7 @@ def test_a_running_simulator_is_shown_and_driven(spinning):
 
 
 def test_a_command_is_repeated_until_a_state_shows_it(listener, spinning):
-    """Whatever finds the page's publisher after its first command is told the torque, too."""
+    """A subscriber that is matched after a page's first command gets the torque, too."""
     spinning(SimulatorNode, scene='four_bar')
     viewer = spinning(ViewerNode, nodes=['/closedloop_simulator'])
     with Client(served(viewer)) as client:
