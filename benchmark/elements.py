@@ -19,7 +19,7 @@ import sys
 from time import process_time
 
 from closedloop_dynamics import Simulation
-from closedloop_dynamics.codegen.function_table import AT_REST as ONE_AT_REST, EVALUATION
+from closedloop_dynamics.codegen.function_table import AT_REST as ONE_AT_REST, MOTION
 from closedloop_dynamics.codegen.live_scene import LiveTrace
 from closedloop_dynamics.codegen.routines import count_operations as count, operations
 from closedloop_dynamics.effects.registry import EFFECTS
@@ -85,11 +85,11 @@ def record(scene, element):
                       for key, value in element.items()})
 
 
-def operations_of(simulation, which=EVALUATION):
+def operations_of(simulation, which=MOTION):
     """Return how many operations the one routine of a scene takes, or one of joints at rest."""
     model, table = simulation.data.system.model, simulation.data.system.effects
     return operations(model) if table is None else count(
-        LiveTrace(model, SceneLaws(table, which)).routine(EVALUATION))
+        LiveTrace(model, SceneLaws(table, which)).routine(MOTION))
 
 
 def timed(pair, quick):
@@ -119,12 +119,12 @@ def timed(pair, quick):
             [operations_of(simulation) for simulation in sims])
 
 
-def rolled_out(elements, quick, which=EVALUATION):
+def rolled_out(elements, quick, which=MOTION):
     """
     Return times of a step of one sample [s] and operations, with effects and without.
 
     ``elements`` are the keys of the effects, ``which`` is the routine that evaluates a sample,
-    ``EVALUATION`` unless joints are at rest.
+    ``MOTION`` unless joints are at rest.
     """
     scene, steps = load_scene('four_bar'), 200 if quick else 2000
     scene = replace(scene, method=replace(scene.method, integrator='rk4', step_size=STEP))
@@ -149,7 +149,7 @@ def measure(quick=False):
                           'building': building, 'operations': counts})
     for name, effects in MEASURED['rollouts'].items():
         if not quick or name in QUICK:
-            times, counts = rolled_out(effects, quick, AT_REST.get(name, EVALUATION))
+            times, counts = rolled_out(effects, quick, AT_REST.get(name, MOTION))
             rollouts.append({'effects': name, 'times': times, 'operations': counts})
     return {'machine': description(), 'quick': quick, 'rows': rows(), 'elements': found,
             'rollouts': rollouts}

@@ -25,7 +25,7 @@ import peer_cases
 
 from closedloop_dynamics.codegen.expression_graph import (  # noqa: I100
     ADD, COSINE, DIVIDE, ExpressionGraph, LOAD, MULTIPLY, Q, QD, Routine, SINE, SUBTRACT)
-from closedloop_dynamics.codegen.function_table import ACCELERATION, EVALUATION, OUTWARD
+from closedloop_dynamics.codegen.function_table import ACCELERATION, MOTION, OUTWARD
 from closedloop_dynamics.codegen.machine_code import machine_code, PACKED, SCALAR
 from closedloop_dynamics.codegen.routines import MechanismTrace
 from closedloop_dynamics.kinematics.modeling import build_model
@@ -106,7 +106,7 @@ def tally(routine):
 
 def count(model):
     """
-    Count the operations of an evaluation.
+    Count the operations of an evaluation as steps ask for it: of accelerations alone.
 
     Parameters
     ----------
@@ -121,7 +121,7 @@ def count(model):
         there are where effects act between them.
 
     """
-    everything, chain = tally(MechanismTrace(model).routine(EVALUATION))
+    everything, chain = tally(MechanismTrace(model).routine(MOTION))
     parts = [tally(MechanismTrace(model).routine(which))[0] for which in (OUTWARD, ACCELERATION)]
     return {'all': everything, 'chain': chain,
             'in parts': sum(sum(part.values()) for part in parts)}

@@ -14,15 +14,15 @@ kernels for each kind of body, which the engine's loops over bodies call (``join
 import numpy as np
 
 from .function_table import (
-    ALWAYS, BODY, LEAST_FORCES, LEFT_OUT, LOOP_EQUATIONS, OF_BRANCHES, OF_FORCES, REACTIONS,
-    REFINED, TORQUE_RESPONSE, WRENCHES)
+    ALWAYS, BODY, EVALUATION, LEAST_FORCES, LEFT_OUT, LOOP_EQUATIONS, MOTION, OF_BRANCHES,
+    OF_FORCES, REACTIONS, REFINED, TORQUE_RESPONSE, WRENCHES)
 from .machine_code import announced_by, PLACES
 from .routines import addresses, unrolled_size, with_torque_response
 from .space import is_spatial
 
-__all__ = ['ALWAYS', 'announced_by', 'can_be_unrolled', 'LEAST_FORCES', 'LEFT_OUT', 'link',
-           'MOST_UNROLLED_OPERATIONS', 'OF_BRANCHES', 'OF_FORCES', 'REACTIONS', 'REFINED',
-           'relink', 'TORQUE_RESPONSE', 'unrolled_size', 'WRENCHES']
+__all__ = ['ALWAYS', 'announced_by', 'can_be_unrolled', 'EVALUATION', 'LEAST_FORCES',
+           'LEFT_OUT', 'link', 'MOST_UNROLLED_OPERATIONS', 'MOTION', 'OF_BRANCHES',
+           'OF_FORCES', 'REACTIONS', 'REFINED', 'relink', 'TORQUE_RESPONSE', 'unrolled_size', 'WRENCHES']
 
 # Unrolled code is three to twenty times as fast as loops over bodies. It grows with the mechanism:
 # up to so many operations of an evaluation, as they are traced, it is compiled in fifteen seconds

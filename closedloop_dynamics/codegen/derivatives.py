@@ -29,13 +29,13 @@ from ..engine.types import (
     BODY_A, BODY_B, COORDINATE, CUT_ROW, DINV, DOF, NO_RESPONSES, PARENT, RHS, ROW, ROWS)
 
 # Outputs: d (J qd) / d (q, qd), in columns of nc numbers; and J, in rows.
-RATE, JACOBIAN = 50, 51
+RATE, JACOBIAN = 51, 52
 # Output: wrenches in joints.
-JOINT_FORCE = 54
+JOINT_FORCE = 55
 # Output, and input: changes of the residuals, in columns lane by lane.
-COLUMN = 59
+COLUMN = 60
 # Output: changes of the rates of the effects' states, as those of closure rates.
-FLOW = 60
+FLOW = 61
 # Half the product of a quaternion x, y, z, w and an axis of the child: place and sign of what each
 # component changes by.
 _TURN = (((3, 1), (2, 1), (1, -1), (0, -1)), ((2, -1), (3, 1), (0, 1), (1, -1)),

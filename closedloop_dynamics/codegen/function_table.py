@@ -20,45 +20,46 @@ import numpy as np
 # and that without the friction of all that are, with the response to each. Last the closure
 # equations alone, for places around a singular position, whether accelerations fulfil the
 # equations that are left out, of a scene its energies, what torques add to the accelerations
-# and multipliers of the latest evaluation in parts, and, for the branch at a singular position,
-# the equations of motion of the trees alone.
+# and multipliers of the latest evaluation in parts, for the branch at a singular position the
+# equations of motion of the trees alone, and the accelerations of a state for a step, without
+# multipliers and closure errors, where none of these decays.
 (EVALUATION, OUTWARD, ACCELERATION, CORRECTION, REFINED_ACCELERATION, REFINED_CORRECTION,
  REACTIONS, WRENCHES, LEAST_FORCES, AT_REST, RESPONSES, LOOP_EQUATIONS,
- LEFT_OUT, ENERGIES, TORQUE_RESPONSE, EQUATIONS_OF_MOTION) = range(16)
-ALWAYS = (EVALUATION, OUTWARD, ACCELERATION, CORRECTION)
+ LEFT_OUT, ENERGIES, TORQUE_RESPONSE, EQUATIONS_OF_MOTION, MOTION) = range(17)
+ALWAYS = (OUTWARD, ACCELERATION, CORRECTION)
 REFINED = (REFINED_ACCELERATION, REFINED_CORRECTION)
 OF_FORCES = (WRENCHES, LEAST_FORCES, LEFT_OUT)
 OF_BRANCHES = (LOOP_EQUATIONS, EQUATIONS_OF_MOTION)
-OF_SCENE = (EVALUATION, AT_REST, RESPONSES)
+OF_SCENE = (MOTION, AT_REST, RESPONSES)
 # Addresses of arrays; the last ones are of effects (``engine/effect_table.hpp``).
 (BODY, GRAVITY, CUT_POINT, TAU, BAUMGARTE, QDD, LAM, HEALTH, WORK_BODY, CLOSURE, CLOSURE_RATE,
  CORRECTIONS, REACTION, COMMAND, VALUES, ENTRIES, CUT_VALUES, PRESENT, SIDES, GAPS, TRIALS,
- RATES) = range(16, 38)
+ RATES) = range(17, 39)
 # Addresses of functions of the engine (``engine/library.hpp``).
-PIECE, NEAREST, FURTHEST = FUNCTIONS = range(38, 41)
+PIECE, NEAREST, FURTHEST = FUNCTIONS = range(39, 42)
 # Addresses of the arrays that the routines of forces read and write.
-WRENCH, JOINT_POINT, LAM_OF_ALL = range(41, 44)
+WRENCH, JOINT_POINT, LAM_OF_ALL = range(42, 45)
 # Addresses that the engine fills in: further outputs of LOOP_EQUATIONS beside CLOSURE; the outputs
 # of EQUATIONS_OF_MOTION, and the forces on bodies that it adds to those of their motion.
-BIAS, JACOBIAN, INERTIA_MATRIX, JOINT_FORCE, ADDED_FORCE = range(44, 49)
+BIAS, JACOBIAN, INERTIA_MATRIX, JOINT_FORCE, ADDED_FORCE = range(45, 50)
 # Address of results of ENERGIES.
-ENERGY = 49
+ENERGY = 50
 # Addresses of outputs of RESPONSES: accelerations and multipliers by each friction
 # (``StaticFriction``), and its limit, zero where the joint slides.
-RESPONSE, LIMIT = range(50, 52)
+RESPONSE, LIMIT = range(51, 53)
 # Address of what ACCELERATION keeps for TORQUE_RESPONSE; of code for a system: how many numbers.
-FACTORS = 52
-TABLE_COLUMNS = 53
+FACTORS = 53
+TABLE_COLUMNS = 54
 # What the routine of one law (``law_routine``) has in the table of its row beside these arrays, of
 # which TAU and COMMAND are those of its joints: its states, its row of ``EffectTable.output``, how
 # many entries it has, and of a motion what its closure equation is to have. Behind are the rows of
 # its bodies.
-STATES, OUTPUT, COUNT, RIGHT_SIDE = range(53, 57)
-LAW_COLUMNS = 57
+STATES, OUTPUT, COUNT, RIGHT_SIDE = range(54, 58)
+LAW_COLUMNS = 58
 # Numbers of a row of VALUES and of PRESENT (``engine/effect_table.hpp``).
 VALUE_COLUMNS, PRESENT_COLUMNS = 13, 12
 # Address of results of one routine that another one of the same table works on, for all its lanes.
-SHARED = 58
+SHARED = 59
 # States side by side in the vectors of ``lanes``: one of AVX-512, two of AVX2, four of NEON.
 LANES = 8
 # States of one mechanism side by side: places around a singular position.

@@ -13,23 +13,23 @@ import numpy as np
 
 from .function_table import (
     BAUMGARTE, BODY, CLOSURE, CLOSURE_RATE, connect as connect_arrays, CORRECTION, CORRECTIONS,
-    CUT_POINT, EVALUATION, GRAVITY, HEALTH, LAM, LANES, QDD, TAU)
+    CUT_POINT, GRAVITY, HEALTH, LAM, LANES, QDD, TAU)
 from .machine_code import LANES as IN_LANES
 from .routines import addresses
 from ..engine.types import HEALTH_COLUMNS
 
 
-def connect(model, arrays, evaluations=None):
+def connect(model, arrays, which, evaluations=None):
     """
     Return the function table of the routines of a mechanism for several states at once.
 
     ``model`` is one of the mechanisms, which have its topology; ``arrays``, from the places BODY
     to RATES, lane by lane, but for BAUMGARTE, which all share, must live as long as the table is
-    used; ``evaluations``: addresses of those of a scene by place, by default that of the mechanism
-    alone.
+    used; ``which``: MOTION, or EVALUATION where closure errors decay; ``evaluations``: addresses
+    of those of a scene by place, by default that of the mechanism alone.
     """
     table = connect_arrays(arrays)
-    alone = (EVALUATION, CORRECTION) if evaluations is None else (CORRECTION,)
+    alone = (which, CORRECTION) if evaluations is None else (CORRECTION,)
     for which, address in (addresses(model, alone, IN_LANES) | (evaluations or {})).items():
         table[which] = address
     return table

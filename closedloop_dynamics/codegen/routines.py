@@ -18,8 +18,8 @@ from .function_table import (
     ACCELERATION, ADDED_FORCE, BAUMGARTE, BIAS, BODY, CLOSURE, CLOSURE_RATE, CORRECTION,
     CORRECTIONS, CUT_POINT, ENERGIES, EQUATIONS_OF_MOTION, EVALUATION, FACTORS, GRAVITY, HEALTH,
     INERTIA_MATRIX, JACOBIAN, JOINT_FORCE, JOINT_POINT, LAM, LAM_OF_ALL, LEAST_FORCES, LEFT_OUT,
-    LOOP_EQUATIONS, OUTWARD, QDD, REACTION, REACTIONS, REFINED_ACCELERATION, REFINED_CORRECTION,
-    TAU, TORQUE_RESPONSE, WORK_BODY, WRENCH, WRENCHES)
+    LOOP_EQUATIONS, MOTION, OUTWARD, QDD, REACTION, REACTIONS, REFINED_ACCELERATION,
+    REFINED_CORRECTION, TAU, TORQUE_RESPONSE, WORK_BODY, WRENCH, WRENCHES)
 from .linear_map import divided
 from .machine_code import machine_code, PACKED
 from .rows import by_column, columns_of, matrix, six
@@ -35,7 +35,8 @@ NAMES = {EVALUATION: 'evaluation', OUTWARD: 'outward', ACCELERATION: 'accelerati
          REFINED_CORRECTION: 'refined_correction', REACTIONS: 'reactions',
          WRENCHES: 'wrenches', LEAST_FORCES: 'least_forces',
          LOOP_EQUATIONS: 'loop_equations', LEFT_OUT: 'left_out', ENERGIES: 'energies',
-         TORQUE_RESPONSE: 'torque_response', EQUATIONS_OF_MOTION: 'equations_of_motion'}
+         TORQUE_RESPONSE: 'torque_response', EQUATIONS_OF_MOTION: 'equations_of_motion',
+         MOTION: 'motion'}
 
 
 def topology(model):
@@ -143,7 +144,7 @@ def operations(model, most=math.inf):
     trace = MechanismTrace(model, most=most)
     method = trace.method()
     return operations_by_method.get(topology(model), {}).get(method) or count_operations(
-        trace.traced(EVALUATION))
+        trace.traced(MOTION))
 
 
 def count_operations(routine):
@@ -166,7 +167,7 @@ def shorter(model, ways=BY_JOINTS):
     for by in ways:
         if by not in counts:
             counts[by] = count_operations(MechanismTrace(
-                model, with_arms=by in BY_ARMS, by=by).traced(EVALUATION))
+                model, with_arms=by in BY_ARMS, by=by).traced(MOTION))
     return min(ways, key=counts.get)
 
 
@@ -192,7 +193,7 @@ class MechanismTrace:
         self.work = work.replaced(health=self.symbols(HEALTH, work.health.shape))
         self.q = self.symbols(Q, (number_of_coordinates(model),))
         self.qd = self.symbols(QD, (self.nv,))
-        self.outputs = []
+        self.outputs, self.decays = [], True
         # What the arrays hold, of a mechanism in space or in the plane.
         self.arrays = space if space.is_spatial(model) else plane
         self.recursion = self.recursion_of(self.arrays.bodies(model, self.model.body))
@@ -236,7 +237,7 @@ class MechanismTrace:
     def traced(self, which):
         """Return the same as it is traced, without what does it otherwise."""
         self.by_arms = False
-        if which in (EVALUATION, ACCELERATION) and self.method() in IN_JOINTS:
+        if which in (EVALUATION, MOTION, ACCELERATION) and self.method() in IN_JOINTS:
             if self.by_arms and self.arrays is space:
                 self.recursion = self.recursion_of(
                     space.bodies(self.constant, self.model.body, arms=True))
@@ -269,6 +270,12 @@ class MechanismTrace:
         self.move()
         self.store_accelerations(*self.accelerate())
         self.store_closures()
+
+    def motion(self):
+        """Do so for a step: no multipliers, no closure errors, and none decays."""
+        self.decays = False
+        self.evaluation()
+        self.outputs = [one for one in self.outputs if one[0] not in (LAM, CLOSURE, CLOSURE_RATE)]
 
     def move(self):
         """
@@ -386,7 +393,7 @@ class MechanismTrace:
         """
         if by is None:
             by = self.method()
-        baumgarte = self.symbols(BAUMGARTE, (1,))[0]
+        baumgarte = self.symbols(BAUMGARTE, (1,))[0] if self.decays else 0.0
         qdd, lam = zeros(self.nv), zeros(self.nc)
         if tau is None:
             tau = self.symbols(TAU, (self.nv,))

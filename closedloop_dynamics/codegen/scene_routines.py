@@ -19,7 +19,7 @@ from ..engine.types import BALL, COORDINATE, DOF, PARENT, TYPE
 # Inputs and outputs beside those of a function table: numbers of points; places, their rates, and
 # their accelerations where the joint rates stay as they are; power that effects dissipate, and
 # that they bring in.
-POINT, PLACE, PLACE_RATE, POWER, PLACE_BIAS = 53, 61, 62, 63, 64
+POINT, PLACE, PLACE_RATE, POWER, PLACE_BIAS = 54, 62, 63, 64, 65
 
 
 class SceneTrace(MechanismTrace):

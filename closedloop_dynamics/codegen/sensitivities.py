@@ -28,10 +28,10 @@ from ..engine.types import CUT_ROW
 # Inputs and outputs. Forward: changes of q, qd, tau and parameters in one direction, and what the
 # accelerations, or the corrections, change by, with their multipliers. Reverse: weights of these,
 # not of multipliers, and the gradient by all the former.
-SEED, RESULT = 54, 55
+SEED, RESULT = 55, 56
 TABLE_COLUMNS = RESULT + 1
 # In the graph alone: a correction and its multipliers, before they are solved for.
-_CORRECTION, _MULTIPLIER = 56, 57
+_CORRECTION, _MULTIPLIER = 57, 58
 # The routines, by their places in the table: of accelerations, of the corrections of positions and
 # of rates, of what corrections are made of, the errors of the closure equations and their rates,
 # and of the wrenches in the joints, cut ones behind those of the tree.

@@ -19,7 +19,6 @@ from .sensor import Chain
 from .traced_effect import TracedEffect, TracedLaw
 from .. import codegen
 from ..codegen import joint_kernels
-from ..codegen.function_table import EVALUATION
 from ..engine.types import TYPE, VARIES
 from ..mechanism.checks import boolean, one_of
 from ..mechanism.fields import at, FieldError, keys_of, mapping
@@ -192,7 +191,7 @@ class EffectSet:
             codegen.relink(self._model, self._system.table, self._system.joints)
         elif self._system.is_unrolled:
             codegen.relink(
-                self._model, self._system.table, self._system.joints, (EVALUATION,))
+                self._model, self._system.table, self._system.joints, (codegen.MOTION,))
             scene_code.link(self._model, self._table, self._system.table)
             self._scene = scene_code.known_structure(self._system.table)
         self._linked = structure

@@ -60,14 +60,14 @@ def link(model, table, functions, scene=None):
     if key is not None and scene in (None, key):
         for place, address in _addresses(model, table, key).items():
             functions[place] = address
-        _known[int(functions[calls.EVALUATION])] = key
+        _known[int(functions[calls.MOTION])] = key
     functions[list(calls.FUNCTIONS)] = list(map(native.library_function, calls.FUNCTIONS))
-    table.code.fits[0] = functions[calls.EVALUATION] != 0
+    table.code.fits[0] = functions[calls.MOTION] != 0
 
 
 def known_structure(functions):
     """Return the structure that the evaluation of a scene has in a function table; or None."""
-    return _known.get(int(functions[calls.EVALUATION]))
+    return _known.get(int(functions[calls.MOTION]))
 
 
 def update(model, table, functions, scene):
@@ -90,18 +90,18 @@ def fit_lanes(table):
                 and not len(table.cuts.index) and all(law.in_lanes for law in table.laws))
 
 
-def addresses_in_lanes(model, tables):
+def addresses_in_lanes(model, tables, which):
     """
     Return the addresses of the evaluations of a scene in the lanes of a vector.
 
     By places of the function table, for one of the models and tables that ``fit_lanes``, one for
-    each lane; None where they are not of one structure.
+    each lane; None where they are not of one structure. ``which``: MOTION or EVALUATION.
     """
     first = tables[0]
     key = structure(model, first)
     if any(structure(model, table) != key for table in tables if table is not first):
         return None
-    return _addresses(model, first, key, LANES)
+    return _addresses(model, first, key, LANES, which)
 
 
 def energies_in_lanes(model, table):
@@ -132,9 +132,10 @@ def balances_in_parts(table):
             FRICTION in balanced and MOTION in balanced))
 
 
-def _addresses(model, table, key, form=PACKED):
+def _addresses(model, table, key, form=PACKED, evaluation=calls.MOTION):
     """Return the addresses of the evaluations of a scene by place of the function table."""
-    found = {calls.EVALUATION: address_of_scene(model, key, lambda: SceneLaws(table), form)}
+    found = {evaluation: address_of_scene(
+        model, key, lambda: SceneLaws(table), form, evaluation)}
     # Motions and cut joints would respond to friction, too.
     frictions = table.role.tolist().count(FRICTION)
     if frictions and MOTION not in table.role and not len(table.cuts.index):
@@ -143,8 +144,10 @@ def _addresses(model, table, key, form=PACKED):
         one = () if form == PACKED and balances_in_parts(table) and with_torque_response(
             model) else (calls.AT_REST,)
         for which in (*one, *several):
+            # Responses are found to multipliers, too.
             found[which] = address_of_scene(
-                model, (*key, which), partial(SceneLaws, table, which), form)
+                model, (*key, which), partial(SceneLaws, table, which), form,
+                calls.EVALUATION if which == calls.RESPONSES else evaluation)
     return found
 
 

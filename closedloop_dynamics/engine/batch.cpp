@@ -197,7 +197,7 @@ bool is_linked(const Batch & batch)
   const auto is_at = [&](Index place, Values array) {
       return array.size == 0 || batch.table[place] == reinterpret_cast<Index>(array.data);
     };
-  return batch.table.size == routine::TABLE_COLUMNS && batch.table[routine::EVALUATION] != 0 &&
+  return batch.table.size == routine::TABLE_COLUMNS && batch.table[batch.evaluation()] != 0 &&
          batch.table[routine::CORRECTION] != 0 && is_at(routine::TAU, batch.tau) &&
          is_at(routine::RATES, batch.rates) && is_at(routine::GAPS, batch.gaps) &&
          is_at(routine::TRIALS, batch.trials) && is_at(routine::RESPONSE, batch.response) &&

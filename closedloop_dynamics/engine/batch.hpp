@@ -40,6 +40,11 @@ struct Batch
   Values friction;
 
   Index nv() const {return qdd.size / LANES;}
+  /// The routine that evaluates states: EVALUATION where closure errors decay.
+  Index evaluation() const
+  {
+    return table[routine::MOTION] != 0 ? routine::MOTION : routine::EVALUATION;
+  }
   Index nq() const {return nv() + manifold.balls.rows;}
 
   template<class Visitor>

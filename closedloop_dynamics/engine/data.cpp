@@ -245,11 +245,12 @@ void Data::link(Indices code)
     "expected how many factors are kept");
   factors = Array<Values>(table[routine::FACTORS]);
   const bool feels = has_effects() && effects.loaded[0] != 0;
-  const bool is_whole = !has_effects() || effects.code.fits[0] != 0;
+  const bool is_whole = has_effects() ? effects.code.fits[0] != 0 : code.size > 0;
   require(
     code.size == 0 || (std::all_of(
-      table.data + (is_whole ? routine::EVALUATION : routine::OUTWARD),
-      table.data + routine::CORRECTION + 1, [](Index address) {return address != 0;}) &&
+      table.data + routine::OUTWARD, table.data + routine::CORRECTION + 1,
+      [](Index address) {return address != 0;}) &&
+    (!is_whole || table[routine::EVALUATION] != 0 || table[routine::MOTION] != 0) &&
     (!feels || !whole.empty() || table[routine::REACTIONS] != 0)),
     "expected the addresses of all routines");
   connect();

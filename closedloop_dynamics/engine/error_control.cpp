@@ -110,7 +110,7 @@ double locate_breakaway(
   const System & system, const HeldJoints & held, Values out, double size, StateAt && state_at)
 {
   const auto margin = [&](Values state) {
-      evaluate_state(system, state);
+      evaluate_for(system, state, Outputs::MOTION);
       return BREAKAWAY - held.load();
     };
   const double end = margin(out);

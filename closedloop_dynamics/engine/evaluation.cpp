@@ -433,7 +433,7 @@ void apply_listed(const System & system, Values q, Values qd)
   apply_listed_to(system, system.work.body, q, qd);
 }
 
-Factors evaluate_in_parts(const System & system, Values q, Values qd)
+Factors evaluate_in_parts(const System & system, Values q, Values qd, Outputs outputs)
 {
   double & written = system.work.health[health::WRITTEN];
   written = 0.0;
@@ -446,7 +446,8 @@ Factors evaluate_in_parts(const System & system, Values q, Values qd)
     written = system.has_cut_coordinates() ? 0.0 : 1.0;
     return Factors::CODE;
   }
-  accelerate_beyond_elimination(system, q, qd, Outputs::POSES);
+  accelerate_beyond_elimination(
+    system, q, qd, system.has_effects() ? Outputs::POSES : outputs);
   return Factors::NONE;
 }
 
@@ -484,22 +485,35 @@ bool is_regular(const System & system, Values q, Values qd)
   return call(system.table, routine::ACCELERATION, q, qd);
 }
 
-/// As `evaluate_state`, for the outputs asked for; with effects, all.
-static void evaluate_for(const System & system, Values state, Outputs outputs)
+/// The routine that evaluates a state at once for some outputs; negative where there is none.
+static Index routine_at_once(const System & system, Outputs outputs)
+{
+  if (!system.is_unrolled()) {
+    return -1;
+  }
+  const bool decays = system.settings->baumgarte_gain != 0.0;
+  Index which = outputs == Outputs::MOTION && !decays ? routine::MOTION : routine::EVALUATION;
+  if (system.has_effects()) {
+    which = which == routine::MOTION ? prepare_code(system.effects) : -1;
+  }
+  return which >= 0 && system.table[which] != 0 ? which : -1;
+}
+
+void evaluate_for(const System & system, Values state, Outputs outputs)
 {
   const Values q = system.q(state), qd = system.qd(state);
   system.work.health[health::WRITTEN] = 0.0;
-  if (system.has_effects()) {
-    load_effect_states(system, state);
-    const Index which = system.is_unrolled() ? prepare_code(system.effects) : -1;
-    if (which < 0 || system.table[which] == 0 || !call(system.table, which, q, qd)) {
-      evaluate(system, q, qd);
-    } else if (which == routine::RESPONSES) {
+  load_effect_states(system, state);
+  const Index which = routine_at_once(system, outputs);
+  if (which < 0) {
+    complete(system, q, qd, evaluate_in_parts(system, q, qd, outputs));
+  } else if (call(system.table, which, q, qd)) {
+    if (which == routine::RESPONSES) {
       hold_by_responses(system.effects, system.qdd, system.lam);
     }
-  } else if (!system.is_unrolled()) {
-    accelerate_by_loops(system, q, qd);
-  } else if (!call(system.table, routine::EVALUATION, q, qd)) {
+  } else if (system.has_effects()) {
+    evaluate(system, q, qd);
+  } else {
     if (system.table[routine::REFINED_ACCELERATION] != 0) {
       call(system.table, routine::OUTWARD, q, qd);
     }

@@ -23,8 +23,8 @@ void evaluate(const System &, Values q, Values qd);
 /// bodies, or what generated code reads.
 enum class Factors {NONE, PLAIN, REFINED, CODE};
 
-/// The same without friction at rest, driving forces and joint loads.
-Factors evaluate_in_parts(const System &, Values q, Values qd);
+/// The same without friction at rest, driving forces and joint loads; with effects, all outputs.
+Factors evaluate_in_parts(const System &, Values q, Values qd, Outputs = Outputs::POSES);
 
 /// The same of a state vector, shape (ns,), with the effects' states in it.
 void evaluate_with_poses(const System &, Values state);
@@ -35,8 +35,11 @@ void measure(const System &, Values state);
 /// Whether an elimination alone gives the accelerations of a state.
 bool is_regular(const System &, Values q, Values qd);
 
-/// Accelerations, multipliers and rates of effects' states of a state vector, shape (ns,); poses
-/// and closure errors may be left undefined.
+/// Accelerations and rates of effects' states of a state vector, shape (ns,), and what of the other
+/// outputs is asked for.
+void evaluate_for(const System &, Values state, Outputs);
+
+/// The same with multipliers.
 void evaluate_state(const System &, Values state);
 
 /// Evaluate a state repeatedly, to time it without the calls; each evaluation waits for the one

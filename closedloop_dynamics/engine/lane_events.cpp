@@ -15,7 +15,7 @@ namespace closedloop
 {
 
 LaneEvents::LaneEvents(const Batch & batch, const std::vector<Lane> & lanes)
-: batch_(batch), lanes_(lanes), effects_(lanes[0].system->effects)
+: batch_(batch), lanes_(lanes), effects_(lanes[0].system->effects), routine_(batch.evaluation())
 {
   for (Index row = 0; row < effects_.count(); ++row) {
     if (effects_.role[row] == effect::FRICTION) {
@@ -54,7 +54,7 @@ Values LaneEvents::begin(Values state)
   }
   // Joints are held by the same arithmetic as in a run alone.
   const bool responds = several > 0 && several >= few && batch_.table[routine::RESPONSES] != 0;
-  routine_ = responds ? routine::RESPONSES : few > 0 ? routine::AT_REST : routine::EVALUATION;
+  routine_ = responds ? routine::RESPONSES : few > 0 ? routine::AT_REST : batch_.evaluation();
   bool any = false;
   Index ready = LANES;
   for (Index lane = LANES - 1; lane >= 0; --lane) {

@@ -53,7 +53,7 @@ private:
   const std::vector<Lane> & lanes_;
   const EffectTable & effects_;
   bool alone_[LANES] = {};
-  Index routine_ = routine::EVALUATION;
+  Index routine_;
   /// Rows of effects that are dry friction.
   std::vector<Index> frictions_;
   std::vector<double> parked_;

@@ -14,7 +14,7 @@ namespace closedloop
 namespace library
 {
 /// Which of them; places of their addresses in the function table.
-enum Function : Index {PIECE = 38, NEAREST, FURTHEST};
+enum Function : Index {PIECE = 39, NEAREST, FURTHEST};
 }
 
 /// Address of a function.

@@ -94,7 +94,7 @@ bool differentiate(const System & system, Values state, Values moved, Table matr
     return false;
   }
   // The code works on accelerations and multipliers of this state.
-  derivative(system, state, moved);
+  derivative_with_multipliers(system, state, moved);
   if (system.has_effects()) {
     store_sides(system.effects);
   }

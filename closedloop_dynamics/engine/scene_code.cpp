@@ -74,7 +74,7 @@ Index prepare_code(const EffectTable & table)
   store_sides(table);
   table.static_friction.rows[0] = 0;
   return resting > held_at_once(frictions) ? routine::RESPONSES :
-         resting > 0 ? routine::AT_REST : routine::EVALUATION;
+         resting > 0 ? routine::AT_REST : routine::MOTION;
 }
 
 }  // namespace closedloop

@@ -77,7 +77,7 @@ struct StepRoutines
   void fields(Visitor && visit)
   {
     visit(
-      "table[>=56], qdd[V], lam[C], seed[seeds>=Q+2*V], result[>=seeds]", table, qdd, lam, seed,
+      "table[>=57], qdd[V], lam[C], seed[seeds>=Q+2*V], result[>=seeds]", table, qdd, lam, seed,
       result);
   }
 };
@@ -97,7 +97,7 @@ struct LaneRoutines
   template<class Visitor>
   void fields(Visitor && visit)
   {
-    visit("table[t>=59=t/59*59], shared, result[results>=16*C]", table, shared, result);
+    visit("table[t>=60=t/60*60], shared, result[results>=16*C]", table, shared, result);
   }
 };
 
@@ -123,7 +123,7 @@ namespace step_routine
 enum : Index
 {
   ACCELERATION_FORWARD, ACCELERATION_REVERSE, POSITION_FORWARD, POSITION_REVERSE, RATE_FORWARD,
-  RATE_REVERSE, CLOSURE_FORWARD, TABLE_COLUMNS = 56, LANE_COLUMNS = 59
+  RATE_REVERSE, CLOSURE_FORWARD, TABLE_COLUMNS = 57, LANE_COLUMNS = 60
 };
 }
 
@@ -132,7 +132,7 @@ constexpr Index SCRATCH_ROWS = 20;
 static_assert(SCRATCH_ROWS == 2 * MOST_POSITION_CORRECTIONS + 4);
 // What signatures of records say in numbers, here and in chart.hpp and state_steps.hpp.
 static_assert(
-  step_routine::TABLE_COLUMNS == 56 && step_routine::LANE_COLUMNS == 59 && SCRATCH_ROWS == 20 &&
+  step_routine::TABLE_COLUMNS == 57 && step_routine::LANE_COLUMNS == 60 && SCRATCH_ROWS == 20 &&
   MOST_POSITION_CORRECTIONS == 8 && LANES == 8);
 
 /// Throws std::invalid_argument where a system cannot make such a run, or a tape is not one of it.

@@ -24,7 +24,7 @@ from ..simulation.traced_scene import TracedScene
 # Inputs and outputs beside those of function tables: a wrench on each body, in world axes at its
 # origin; motion of each body; forces where loops close; of each effect 1 where it acts, 0 where it
 # is switched off. Their places are behind all others.
-PUSH, MOTION, FORCE, SWITCH, JACOBIAN = range(65, 70)
+PUSH, MOTION, FORCE, SWITCH, JACOBIAN = range(66, 71)
 # Numbers of a body's motion: its origin, its axes row by row, velocity and angular velocity.
 MOTION_COLUMNS = 18
 NAMES = {Q: 'q', QD: 'qd', TAU: 'tau', PUSH: 'push', SWITCH: 'switch', BODY: 'body',

@@ -82,17 +82,17 @@ def build_batch(systems):
     nv, nc = len(first.qdd), len(first.lam)
     arrays = lanes.allocate([system.model for system in systems], (nv, nc),
                             gain[:1].copy())
-    evaluations = None
+    which, evaluations = calls.EVALUATION if gain[0] else calls.MOTION, None
     if first.effects is not None:
         evaluations = scene_code.addresses_in_lanes(first.model, [
-            system.effects for system in systems])
+            system.effects for system in systems], which)
         if evaluations is None:
             return None
         arrays.update(_arrays_of_effects([system.effects for system in systems]))
         arrays[calls.COMMAND] = arrays[calls.TAU]
     nothing = np.zeros(0)
     return Batch(
-        table=lanes.connect(first.model, arrays, evaluations), tau=arrays[calls.TAU],
+        table=lanes.connect(first.model, arrays, which, evaluations), tau=arrays[calls.TAU],
         qdd=arrays[calls.QDD], closure=arrays[calls.CLOSURE],
         corrections=arrays[calls.CORRECTIONS].reshape(2, -1),
         tolerance=tolerance, limit=limit,

@@ -189,7 +189,8 @@ def build_system(model, baumgarte=0.0, extent=1.0, independent=False, elements=(
     # Friction may come to depend on the reaction in its joint later.
     reactions = effects is not None and FRICTION in effects.role
     responses = effects is not None and scene_code.balances_in_parts(effects)
-    code = Code((*codegen.ALWAYS, *(codegen.OF_BRANCHES if 0 < nc < nv else ()),
+    code = Code((codegen.EVALUATION if baumgarte else codegen.MOTION, *codegen.ALWAYS,
+                 *(codegen.OF_BRANCHES if 0 < nc < nv else ()),
                  *((codegen.REACTIONS,) if reactions else ()),
                  *((codegen.TORQUE_RESPONSE,) if responses else ()),
                  *_routines_of_forces(model, joints)) if unrolled else (), None)

@@ -170,7 +170,7 @@ def test_one_state_at_a_singular_arm_does_not_spoil_those_beside_it():
             states[2, model.tree[2, t.COORDINATE]] = 0.0
         arrays = lanes.allocate([model] * calls.LANES, sizes, np.zeros(1))
         arrays[calls.TAU][:] = lanes.spread([tau] * calls.LANES)
-        table = lanes.connect(model, arrays)
+        table = lanes.connect(model, arrays, calls.EVALUATION)
         run = ctypes.CFUNCTYPE(ctypes.c_int64, *3 * [ctypes.c_void_p])(
             int(table[calls.EVALUATION]))
         positions, rates = lanes.spread(states), lanes.spread([qd] * calls.LANES)

@@ -7,9 +7,9 @@ import copy
 import ctypes
 import math
 
-from closedloop_dynamics import codegen
+from closedloop_dynamics import codegen, load_scene
 from closedloop_dynamics.codegen import (
-    announced_by, cache, joint_kernels, relink, routines, scheduling)
+    announced_by, cache, function_table as calls, joint_kernels, relink, routines, scheduling)
 from closedloop_dynamics.codegen.expression_graph import (
     arctangent, cosine, ExpressionGraph, LOAD, MULTIPLY, Q, QD, Routine, sine)
 from closedloop_dynamics.codegen.machine_code import engines, LANES, machine_code, PACKED, SCALAR
@@ -33,11 +33,12 @@ def systems(mechanism, **options):
             for unrolled in (True, False)]
 
 
-def test_evaluations_agree(drawn):
+@pytest.mark.parametrize('baumgarte', [0.0, 3.0])
+def test_evaluations_agree(drawn, baumgarte):
     rng, mechanism, q, qd = drawn
     tau = rng.normal(size=len(q))
     results = []
-    for system in systems(mechanism, baumgarte=3.0):
+    for system in systems(mechanism, baumgarte=baumgarte):
         system.tau[:] = tau
         out = np.zeros(2 * len(q))
         system.native.derivative(np.concatenate([q, qd]), out)
@@ -49,6 +50,18 @@ def test_evaluations_agree(drawn):
                         system.work.body[:, ALPHA:AY + 1], system.work.health[[2]]))
     for one, other in zip(*results):
         assert_agree(one, other, SOLVE, smallest=1.0)
+
+
+@pytest.mark.parametrize('name', ['carpet_scraper', 'stewart_platform', 'bricard'])
+def test_a_step_finds_no_multipliers_and_no_closure_errors(name):
+    model = build_model(load_scene(name).mechanism)
+    whole, alone = (routines.MechanismTrace(model).routine(which)
+                    for which in (calls.EVALUATION, calls.MOTION))
+    read = {operation[1] for place, operation in enumerate(alone.graph.operations)
+            if operation[0] == LOAD and place in alone.needed()}
+    assert calls.BAUMGARTE not in read and calls.BODY in read
+    assert {source for source, _, _ in alone.outputs} == {calls.QDD, calls.HEALTH}
+    assert routines.count_operations(alone) < 0.95 * routines.count_operations(whole)
 
 
 def test_corrections_agree(drawn):

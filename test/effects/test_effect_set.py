@@ -180,7 +180,7 @@ def of_type(kind):
 def counted(model):
     """Return how many operations of each kind each routine of a model takes."""
     found = {}
-    for which in (routines.EVALUATION, routines.OUTWARD, routines.ACCELERATION,
+    for which in (routines.MOTION, routines.OUTWARD, routines.ACCELERATION,
                   routines.CORRECTION):
         routine = routines.MechanismTrace(model).routine(which)
         found[which] = Counter(routine.graph.operations[n][0] for n in routine.needed())

@@ -356,10 +356,10 @@ def test_bound_arrays_live_as_long_as_what_they_are_bound_to():
 def test_functions_and_views_keep_the_memory_of_a_system():
     one, state = built()
     nv = len(one.qdd)
-    one.evaluate(state[:nv], state[nv:])
+    out = np.zeros(number_of_states(one))
+    one.derivative(state, out)
     expected, views = one.qdd.copy(), [one.qdd, one.work.body, one.model.tree, one.work.health]
     found = [view.copy() for view in views]
-    out = np.zeros(number_of_states(one))
     derivative = native.bind('derivative', one, state, out)
     watched = weakref.ref(one)
     del one
