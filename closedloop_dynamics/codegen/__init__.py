@@ -22,7 +22,8 @@ from .space import is_spatial
 
 __all__ = ['ALWAYS', 'announced_by', 'can_be_unrolled', 'EVALUATION', 'LEAST_FORCES',
            'LEFT_OUT', 'link', 'MOST_UNROLLED_OPERATIONS', 'MOTION', 'OF_BRANCHES',
-           'OF_FORCES', 'REACTIONS', 'REFINED', 'relink', 'TORQUE_RESPONSE', 'unrolled_size', 'WRENCHES']
+           'OF_FORCES', 'REACTIONS', 'REFINED', 'relink', 'TORQUE_RESPONSE', 'unrolled_size',
+           'WRENCHES']
 
 # Unrolled code is three to twenty times as fast as loops over bodies. It grows with the mechanism:
 # up to so many operations of an evaluation, as they are traced, it is compiled in fifteen seconds
