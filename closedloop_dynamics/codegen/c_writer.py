@@ -141,14 +141,15 @@ typedef struct {part_of_eight parts[8 / WIDTH];} eight;
 _TYPES = {4: 'four', 8: 'eight'}
 
 
-def statements(routine, places):
+def statements(routine, places, otherwise=None):
     """
     Return the statements of a routine.
 
     ``places``: by input or output, the array in C: a pointer to doubles. The last statement
-    returns 1 where the branches that were taken are right, else 0.
+    returns 1 where the branches that were taken are right, else 0; ``otherwise``: as of
+    ``Statements``.
     """
-    return Statements(routine, places).lines
+    return Statements(routine, places, otherwise).lines
 
 
 class Statements:

@@ -10,7 +10,7 @@ and constant forces. Their numbers are inputs, like masses and lengths.
 
 from . import forward_dynamics
 from .expression_graph import chosen, LOAD, Routine
-from .function_table import CLOSURE, CORRECTIONS, ENERGY, LAM, QDD, SIDES, TAU, VALUES
+from .function_table import CLOSURE, CORRECTIONS, ENERGY, SIDES, TAU, VALUES
 from .routines import MechanismTrace, zeros
 from .spatial import rigid
 from .vectors import add, cross, dot, in_space, is_zero, scale, subtract, times, ZERO
@@ -27,18 +27,26 @@ class SceneTrace(MechanismTrace):
     One mechanism with its effects, with symbols in the place of all numbers that may change.
 
     ``act`` takes a ``Forces`` and applies the effects; ``values``: shape of the array of their
-    numbers. ``decided``: whether contacts are on the sides that the engine has decided on, not on
-    those of their gaps.
+    numbers; ``with_arms``, ``by``: as of ``MechanismTrace``. ``decided``: whether contacts are on
+    the sides that the engine has decided on, not on those of their gaps.
     """
 
-    def __init__(self, model, act, values, with_arms=False):
-        super().__init__(model, with_arms=with_arms)
-        self.values, self.decided = self.symbols(VALUES, values), False
+    def __init__(self, model, act, values, with_arms=False, by=forward_dynamics):
+        super().__init__(model, with_arms=with_arms, by=by)
+        self.values, self.decided, self.decays = self.symbols(VALUES, values), False, False
         self._act = act
+
+    def without_arms(self):
+        """Return a trace of the same with all multipliers."""
+        return SceneTrace(self.constant, self._act, self.values.shape, by=None)
 
     def moved(self):
         """Run the outward recursion and apply the effects; return their forces."""
         self.recursion.outward(self.model, self.q, self.qd, self.work)
+        return self.acted()
+
+    def acted(self):
+        """Apply the effects; return their forces."""
         forces = self.forces_type(self)
         self._act(forces)
         return forces
@@ -50,13 +58,11 @@ class SceneTrace(MechanismTrace):
 
     def evaluation(self):
         """Accelerations and multipliers."""
-        forces = self.moved()
-        qdd, lam = zeros(self.nv), zeros(self.nc)
-        tau = self.symbols(TAU, (self.nv,)) + forces.torque
-        bool(forward_dynamics.accelerate(
-            self.recursion, self.model, self.work, tau, 0.0, qdd, lam))
-        self.store(QDD, qdd)
-        self.store(LAM, lam)
+        self.move()
+        found = self.accelerate(tau=self.symbols(TAU, (self.nv,)) + self.acted().torque)
+        # What the engine counts is left out.
+        self.outputs.clear()
+        self.store_accelerations(*found)
 
     def correction(self):
         """Least changes of coordinates and of rates that close the loops."""

@@ -37,8 +37,11 @@ class Cost:
         """Count the operations of a routine that becomes a function, in so many lanes."""
         name = re.search(r'(\w+)\)?$', head)[1]
         kinds = [routine.graph.operations[place][0] for place in routine.needed()]
-        self.operations[name] = lanes * count_operations(routine)
-        self.sines[name] = sum(kind in (SINE, COSINE) for kind in kinds)
+        # At most what does the same otherwise runs, too.
+        other = None if routine.otherwise is None else routine.otherwise.name
+        self.operations[name] = lanes * count_operations(routine) + self.operations.get(other, 0)
+        self.sines[name] = sum(
+            kind in (SINE, COSINE) for kind in kinds) + self.sines.get(other, 0)
 
     def of_step(self, counts):
         """Return the sum of counts over a step with all its corrections."""

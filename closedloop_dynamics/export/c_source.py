@@ -20,8 +20,8 @@ from ..codegen.c_writer import (
 from ..codegen.derivatives import COLUMN, DerivativeTrace, JACOBIAN, JOINT_FORCE, RATE
 from ..codegen.expression_graph import Q, QD
 from ..codegen.function_table import (
-    BODY, CLOSURE, CORRECTIONS, CUT_POINT, ENERGY, GRAVITY, LAM, LANES, QDD, SHARED, TAU,
-    VALUE_COLUMNS, VALUES)
+    BODY, CLOSURE, CORRECTIONS, CUT_POINT, ENERGY, EVALUATION, GRAVITY, LAM, LANES, QDD, SHARED,
+    TAU, VALUE_COLUMNS, VALUES)
 from ..codegen.scene_routines import PLACE, PLACE_BIAS, PLACE_RATE, POINT, POWER, SceneTrace
 from ..effects.traced_laws import act, powers
 from ..engine.types import CUT_NUMBER, CUT_ROW, ROWS
@@ -263,7 +263,7 @@ class _Text:
         """Yield the generated functions that take long."""
         unrolled = self._unrolled
         yield self._function(
-            'int VERSION(evaluation)', unrolled(lambda one: one.evaluation()),
+            'int VERSION(evaluation)', self._evaluation(),
             {Q: 'const double *q', QD: 'const double *qd', TAU: 'const double *tau',
              QDD: 'double *qdd', LAM: 'double *lam'})
         yield '/* Changes of q and qd that close the loops, one behind the other. */'
@@ -320,12 +320,21 @@ class _Text:
         trace.outputs += [(POWER, place, power) for place, power in enumerate(
             powers(self.system.effects, trace.moved().rates))]
 
+    def _evaluation(self):
+        """Return the routine of the fewest operations; next to singular arms it has another."""
+        # What is left of small differences is too little in single precision.
+        return (self._trace(SceneTrace) if self.float32 else self._trace(
+            SceneTrace, with_arms=True, by=None)).routine(EVALUATION)
+
+    def _trace(self, kind, **how):
+        table = self.system.effects
+        return kind(
+            self.model, lambda forces: act(table, forces),
+            self.members[VALUES][1].shape if VALUES in self.members else (0, VALUE_COLUMNS), **how)
+
     def _unrolled(self, what, kind=SceneTrace, only=None):
         """Return a routine of a new unrolling, of all outputs or only one."""
-        table = self.system.effects
-        one = kind(
-            self.model, lambda forces: act(table, forces),
-            self.members[VALUES][1].shape if VALUES in self.members else (0, VALUE_COLUMNS))
+        one = self._trace(kind)
         what(one)
         one.outputs = [output for output in one.outputs if only in (None, output[0])]
         return one.named('')
@@ -337,13 +346,18 @@ class _Text:
         for source, (name, array, _) in self.members.items():
             pointers.append(f'const double *const {name} = &model->{name}{array.ndim * "[0]"};')
             places[source] = name
-        lines = statements(routine, places)
+        before, otherwise = '', None
+        if routine.otherwise is not None:
+            other = f'VERSION({routine.otherwise.name})'
+            before = self._function(f'int {other}', routine.otherwise, parameters)
+            otherwise = f'return {other}(model, {", ".join(map(places.get, parameters))})'
+        lines = statements(routine, places, otherwise)
         self.cost.count(head, routine)
         used = '\n'.join(lines)
         unused = [*(f'(void){name};' for name in places.values()
                     if not re.search(rf'\b{name}\[', used)), '(void)model;']
         body = '\n  '.join([*pointers, *unused, *lines])
-        return (f'static {head}(\n  const {self.name}_model *model, '
+        return (f'{before}static {head}(\n  const {self.name}_model *model, '
                 f'{", ".join(parameters.values())})\n{{\n  {body}\n}}\n')
 
     def _balls(self):

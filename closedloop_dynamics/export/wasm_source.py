@@ -182,9 +182,9 @@ class _Trace(SceneTrace):
         dissipated, work = powers(self._table, self._rates)
         self.outputs += [(POWER, 0, dissipated), (POWER, 1, driven + work)]
 
-    def moved(self):
-        """Run the outward recursion, apply the effects and the wrenches; return the forces."""
-        forces = super().moved()
+    def acted(self):
+        """Apply the effects and the wrenches; return the forces."""
+        forces = super().acted()
         self._rates = forces.rates
         for row, push in list(enumerate(self.symbols(PUSH, (len(self.constant.tree), 6))))[1:]:
             if forces.size == 2:
