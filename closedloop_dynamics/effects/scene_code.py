@@ -65,6 +65,13 @@ def link(model, table, functions, scene=None):
     table.code.fits[0] = functions[calls.MOTION] != 0
 
 
+def link_evaluation(model, table, functions):
+    """Give a function table the evaluation of a scene with multipliers, too, where it has one."""
+    if table.code.fits[0]:
+        functions[calls.EVALUATION] = address_of_scene(
+            model, structure(model, table), lambda: SceneLaws(table), which=calls.EVALUATION)
+
+
 def known_structure(functions):
     """Return the structure that the evaluation of a scene has in a function table; or None."""
     return _known.get(int(functions[calls.MOTION]))

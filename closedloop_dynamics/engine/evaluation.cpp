@@ -494,7 +494,10 @@ static Index routine_at_once(const System & system, Outputs outputs)
   const bool decays = system.settings->baumgarte_gain != 0.0;
   Index which = outputs == Outputs::MOTION && !decays ? routine::MOTION : routine::EVALUATION;
   if (system.has_effects()) {
-    which = which == routine::MOTION ? prepare_code(system.effects) : -1;
+    const Index present = decays ? -1 : prepare_code(system.effects);
+    if (present != routine::MOTION) {
+      which = which == routine::MOTION ? present : -1;
+    }
   }
   return which >= 0 && system.table[which] != 0 ? which : -1;
 }

@@ -8,7 +8,8 @@ from typing import Callable, NamedTuple, Sequence
 
 import numpy as np
 
-from .system import number_of_equations, parts_of_state, System, with_equations
+from .system import (
+    link_evaluation, number_of_equations, parts_of_state, System, with_equations)
 from ..engine import native
 from ..engine.types import Model
 
@@ -99,6 +100,7 @@ class Evaluator:
                 raise ValueError(f'evaluator: expected quantities of {", ".join(QUANTITIES)}, '
                                  f'got {name!r}')
         one = deepcopy(system)
+        link_evaluation(one)
         whole = one
         if one.has_redundant_constraints:
             # Asked rarely: no routines are generated for it.

@@ -8,6 +8,7 @@ from functools import cache
 import numpy as np
 
 from .stepped_run import LaneRoutines, StepRoutines
+from .system import link_evaluation
 from .traced_scene import TracedScene
 from ..codegen import function_table as calls
 from ..codegen.machine_code import LANES, machine_code, PACKED, SCALAR
@@ -30,6 +31,8 @@ class StepDerivatives:
 
     def __init__(self, data, parameters, scene=None):
         self.parameters, self._system = parameters, data.system
+        # Derivatives are of multipliers, too.
+        link_evaluation(self._system)
         nv, nc = len(self._system.qdd), len(self._system.lam)
         self._scene = scene or TracedScene(data)
         self._nq = len(data.position)

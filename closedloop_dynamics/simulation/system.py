@@ -244,6 +244,14 @@ def _routines_of_forces(model, joints):
     return (codegen.WRENCHES, *least) if left_out or space.is_spatial(model) else ()
 
 
+def link_evaluation(system):
+    """Generate the evaluation with multipliers and closure errors, which is in parts otherwise."""
+    if system.is_unrolled and system.effects is None:
+        codegen.link(system.model, system.table, (codegen.EVALUATION,))
+    elif system.is_unrolled:
+        scene_code.link_evaluation(system.model, system.effects, system.table)
+
+
 def refine(system, state):
     """
     Give a system routines for links much lighter than others, if a state needs them.
