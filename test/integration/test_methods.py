@@ -196,6 +196,21 @@ def test_time_is_counted_not_summed():
     assert simulation.time == pytest.approx(1.00125, abs=1e-15)
 
 
+@pytest.mark.parametrize('scene', ['three_rrr', 'three_rrr_payload_friction'])
+@pytest.mark.filterwarnings('ignore::closedloop_dynamics.mechanism.errors.InaccuracyWarning')
+def test_errors_decay_alike_whether_baumgarte_is_named_in_the_scene_or_later(scene):
+    later, named, never = (
+        Simulation.from_scene(scene, integrator='rk4', step_size=4e-3, stabilisation=one)
+        for one in ('projection', 'baumgarte', 'none'))
+    later.stepping.prepare_method(stabilisation='baumgarte')()
+    for one in (later, named, never):
+        one.step(duration=0.4)
+    np.testing.assert_allclose(later.position, named.position, rtol=0, atol=1e-12)
+    assert np.abs(never.position - named.position).max() > 1e-7
+    assert later.closure == pytest.approx(named.closure, rel=1e-4)
+    assert named.closure < 0.1 * never.closure
+
+
 def test_baumgarte_time_constant_is_tied_to_the_step():
     scene = Simulation.from_scene('four_bar', stabilisation='baumgarte', step_size=2e-4).scene
     assert scene.method.time_constant == pytest.approx(2e-3)
