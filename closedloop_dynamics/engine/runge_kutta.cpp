@@ -28,37 +28,46 @@ OwnedTableau::OwnedTableau(const Tableau & from)
   }
 }
 
+namespace
+{
+/// Slopes that count, in a pass over the components.
+struct Weighted
+{
+  static constexpr Index AT_ONCE = 4;
+  const double * slope[AT_ONCE];
+  double weight[AT_ONCE];
+
+  /// Add the first ones to a sum, which is zero at `begins`; at `ends` it becomes a step from a state.
+  template<Index Count>
+  void add(Values state, double step_size, bool begins, bool ends, Values out) const
+  {
+    for (Index i = 0; i < state.size; ++i) {
+      double total = begins ? 0.0 : out[i];
+      for (Index n = 0; n < Count; ++n) {
+        total += weight[n] * slope[n][i];
+      }
+      out[i] = ends ? state[i] + step_size * total : total;
+    }
+  }
+};
+}  // namespace
+
 void combine(
   const double * weights, Index count, Values state, double step_size, Table slopes, Values out)
 {
-  // Slopes that count, up to four in a pass over the components.
-  constexpr Index AT_ONCE = 4;
-  const double * slope[AT_ONCE] = {};
-  double weight[AT_ONCE] = {};
-  out.fill(0.0);
-  for (Index k = 0; k < count; ) {
+  constexpr void (Weighted::* ADD[])(Values, double, bool, bool, Values) const = {
+    &Weighted::add<0>, &Weighted::add<1>, &Weighted::add<2>, &Weighted::add<3>, &Weighted::add<4>};
+  Weighted some;
+  Index k = 0;
+  for (bool begins = true; begins || k < count; begins = false) {
     Index found = 0;
-    for (; k < count && found < AT_ONCE; ++k) {
+    for (; k < count && found < Weighted::AT_ONCE; ++k) {
       if (weights[k] != 0.0) {
-        weight[found] = weights[k];
-        slope[found++] = slopes.row(k);
+        some.weight[found] = weights[k];
+        some.slope[found++] = slopes.row(k);
       }
     }
-    if (found == AT_ONCE) {
-      for (Index i = 0; i < state.size; ++i) {
-        out[i] = out[i] + weight[0] * slope[0][i] + weight[1] * slope[1][i] +
-          weight[2] * slope[2][i] + weight[3] * slope[3][i];
-      }
-      continue;
-    }
-    for (Index n = 0; n < found; ++n) {
-      for (Index i = 0; i < state.size; ++i) {
-        out[i] += weight[n] * slope[n][i];
-      }
-    }
-  }
-  for (Index i = 0; i < state.size; ++i) {
-    out[i] = state[i] + step_size * out[i];
+    (some.*ADD[found])(state, step_size, begins, k == count, out);
   }
 }
 
