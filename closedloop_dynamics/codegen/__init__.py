@@ -29,7 +29,7 @@ __all__ = ['ALWAYS', 'announced_by', 'can_be_unrolled', 'EVALUATION', 'LEAST_FOR
 # up to so many operations of an evaluation, as they are traced, it is compiled in fifteen seconds
 # at most, once. In the plane, 0.02 rad beside the flat position of 40 loops in a row, its
 # accelerations are off by 8e-6 m/s^2, those by loops over bodies by 4e-8.
-MOST_UNROLLED_OPERATIONS, MOST_UNROLLED_IN_PLANE = 50_000, 3_750
+MOST_UNROLLED_OPERATIONS, MOST_UNROLLED_IN_PLANE = 50_000, 4_000
 # A link of a chain in the plane takes more.
 LEAST_OPERATIONS_OF_A_JOINT = 30
 
