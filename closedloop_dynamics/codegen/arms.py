@@ -658,6 +658,19 @@ def accelerate(recursion, model, work, tau, baumgarte, qdd, lam):
     return True
 
 
+def correct(recursion, model, work, error, out):
+    """
+    Find the least change of coordinates or rates, in the mass metric, that closes an error.
+
+    ``recursion``: at rest and without gravity; ``error``, shape (nc,): of the closures' positions
+    or rates, in elimination order; ``out``, shape (nv,), is written. Returns as ``accelerate``.
+    """
+    recursion.update(model, work, NO_RESPONSES)
+    work.bias[:] = error
+    solve(recursion, model, work, len(out) * [0.0], 0.0, out, [*error])
+    return True
+
+
 def solve(recursion, model, work, tau, baumgarte, qdd, lam):
     """Do what follows ``update``; the guard of the graph has what must hold."""
     plan = Plan.of(recursion, model)

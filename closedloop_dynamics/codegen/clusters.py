@@ -107,8 +107,8 @@ def step_aside(some):
 class _Tree:
     """The bodies of a tree while their clusters are eliminated, in the axes of views."""
 
-    def __init__(self, recursion, model, work, tau, baumgarte):
-        self.recursion, self.model, self.work = recursion, model, work
+    def __init__(self, recursion, model, work, tau, baumgarte, errors):
+        self.recursion, self.model, self.work, self.errors = recursion, model, work, errors
         self.tau, self.baumgarte = tau, baumgarte
         self.parent = model.tree[:, PARENT].tolist()
         self.views, rows = recursion.views, range(len(self.parent))
@@ -240,7 +240,8 @@ class _Tree:
         for place, equation in enumerate(equations, start=cut[ROW]):
             work.closure[place], work.closure_rate[place] = equation.value, equation.rate
             row, arrived = (arms.EQUATION, place), {}
-            found.add_right(row, 0.0 - equation.bias - self.baumgarte * (
+            bias = equation.bias if self.errors is None else self.errors[place]
+            found.add_right(row, 0.0 - bias - self.baumgarte * (
                 2.0 * equation.rate + self.baumgarte * equation.value))
             for i, force in equation.in_joints:
                 found.add(row, i, force)
@@ -278,7 +279,16 @@ def accelerate(recursion, model, work, tau, baumgarte, qdd, lam):
     ``recursion`` is a ``JointSpace`` of a mechanism that has ``clusters``, without ``hinges``.
     """
     work.health[EVALUATIONS] += 1.0
-    tree = _Tree(recursion, model, work, tau, baumgarte)
+    return _solve(recursion, model, work, tau, baumgarte, None, qdd, lam)
+
+
+def correct(recursion, model, work, error, out):
+    """As of ``arms``."""
+    return _solve(recursion, model, work, len(out) * [0.0], 0.0, error, out, [*error])
+
+
+def _solve(recursion, model, work, tau, baumgarte, errors, qdd, lam):
+    tree = _Tree(recursion, model, work, tau, baumgarte, errors)
     for cluster in clusters(recursion, model):
         tree.eliminate(cluster)
     elimination.record_pivot(model, work, tree.smallest)

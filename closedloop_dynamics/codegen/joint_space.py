@@ -343,6 +343,17 @@ def accelerate(recursion, model, work, tau, baumgarte, qdd, lam):
     """
     work.health[EVALUATIONS] += 1.0
     recursion.update(model, work, CARRIED)
+    return _solve(recursion, model, work, tau, baumgarte, qdd, lam)
+
+
+def correct(recursion, model, work, error, out):
+    """As of ``arms``."""
+    recursion.update(model, work, CARRIED)
+    work.bias[:] = error
+    return _solve(recursion, model, work, len(out) * [0.0], 0.0, out, [*error])
+
+
+def _solve(recursion, model, work, tau, baumgarte, qdd, lam):
     factors = _factored(recursion, model, tau, work)
     _reduce(recursion, model, work, factors)
     elimination.assemble(model, work)

@@ -237,7 +237,8 @@ class MechanismTrace:
     def traced(self, which):
         """Return the same as it is traced, without what does it otherwise."""
         self.by_arms = False
-        if which in (EVALUATION, MOTION, ACCELERATION) and self.method() in IN_JOINTS:
+        if which in (EVALUATION, MOTION, ACCELERATION, CORRECTION) and (
+                self.method() in IN_JOINTS):
             if self.by_arms and self.arrays is space:
                 self.recursion = self.recursion_of(
                     space.bodies(self.constant, self.model.body, arms=True))
@@ -413,15 +414,20 @@ class MechanismTrace:
 
     def response(self, tau):
         """Return the accelerations and multipliers that torques alone add, at this position."""
-        recursion = joint_space.JointSpace(
-            self.recursion.bodies, self.recursion.cuts, (0.0, 0.0, 0.0), self.recursion.hinges)
-        recursion.apart = self.recursion.apart
-        work = zeros_like_workspace(self.constant)
-        recursion.outward(self.model, self.q, zeros(self.nv), work)
+        recursion, work = self.at_rest()
         qdd, lam = zeros(self.nv), zeros(self.nc)
         bool(self.method().accelerate(
             recursion, self.model, work, tau, 0.0, qdd, lam))
         return qdd, lam
+
+    def at_rest(self):
+        """Return recursions and a workspace of the same position, at rest and without gravity."""
+        recursion = joint_space.JointSpace(
+            self.recursion.bodies, self.recursion.cuts, (0.0, 0.0, 0.0), self.recursion.hinges)
+        recursion.apart, recursion.free = self.recursion.apart, self.recursion.free
+        work = zeros_like_workspace(self.constant)
+        recursion.outward(self.model, self.q, zeros(self.nv), work)
+        return recursion, work
 
     def reactions(self):
         """Sum up the forces in the joints of the trees, after the accelerations."""
@@ -525,16 +531,25 @@ class MechanismTrace:
 
     def correction(self, by=None):
         """Least changes of coordinates and of rates that close the loops, one after the other."""
-        model, work = self.model, self.work
-        self.recursion.outward(model, self.q, self.qd, work)
-        embeds = by is None and self.embeds()
-        if embeds:
+        model, work, by = self.model, self.work, by or self.method()
+        embeds = by is not refinement and self.embeds()
+        if by in IN_JOINTS:
+            self.move()
+        else:
+            self.recursion.outward(model, self.q, self.qd, work)
+        if by in IN_JOINTS or embeds:
             self.recursion.update(model, work, NO_RESPONSES)
         else:
-            bool((by or forward_dynamics).prepare(self.recursion, model, zeros(self.nv), work))
+            bool((by if by is refinement else forward_dynamics).prepare(
+                self.recursion, model, zeros(self.nv), work))
         for n, error in enumerate((work.closure, work.closure_rate)):
             out = zeros(self.nv)
-            if embeds:
+            if by in IN_JOINTS:
+                recursion, other = self.at_rest()
+                # The pivots are the same for both.
+                bool(by.correct(recursion, model, other.replaced(
+                    health=work.health if n == 0 else other.health), error, out))
+            elif embeds:
                 bool(embedding.correct(self.recursion, model, work, error, out))
             else:
                 right = -error

@@ -20,8 +20,8 @@ from ..codegen.c_writer import (
 from ..codegen.derivatives import COLUMN, DerivativeTrace, JACOBIAN, JOINT_FORCE, RATE
 from ..codegen.expression_graph import Q, QD
 from ..codegen.function_table import (
-    BODY, CLOSURE, CORRECTIONS, CUT_POINT, ENERGY, EVALUATION, GRAVITY, LAM, LANES, QDD, SHARED,
-    TAU, VALUE_COLUMNS, VALUES)
+    BODY, CLOSURE, CORRECTION, CORRECTIONS, CUT_POINT, ENERGY, EVALUATION, GRAVITY, LAM, LANES,
+    QDD, SHARED, TAU, VALUE_COLUMNS, VALUES)
 from ..codegen.scene_routines import PLACE, PLACE_BIAS, PLACE_RATE, POINT, POWER, SceneTrace
 from ..effects.traced_laws import act, powers
 from ..engine.types import CUT_NUMBER, CUT_ROW, ROWS
@@ -263,12 +263,12 @@ class _Text:
         """Yield the generated functions that take long."""
         unrolled = self._unrolled
         yield self._function(
-            'int VERSION(evaluation)', self._evaluation(),
+            'int VERSION(evaluation)', self._shortest(EVALUATION),
             {Q: 'const double *q', QD: 'const double *qd', TAU: 'const double *tau',
              QDD: 'double *qdd', LAM: 'double *lam'})
         yield '/* Changes of q and qd that close the loops, one behind the other. */'
         yield self._function(
-            'int VERSION(correction)', unrolled(lambda one: one.correction()),
+            'int VERSION(correction)', self._shortest(CORRECTION),
             {Q: 'const double *q', QD: 'const double *qd', CORRECTIONS: 'double *change',
              CLOSURE: 'double *closure'})
         if self.derivatives:
@@ -320,11 +320,11 @@ class _Text:
         trace.outputs += [(POWER, place, power) for place, power in enumerate(
             powers(self.system.effects, trace.moved().rates))]
 
-    def _evaluation(self):
-        """Return the routine of the fewest operations; next to singular arms it has another."""
+    def _shortest(self, which):
+        """Return a routine of the fewest operations; next to singular arms it has another."""
         # What is left of small differences is too little in single precision.
         return (self._trace(SceneTrace) if self.float32 else self._trace(
-            SceneTrace, with_arms=True, by=None)).routine(EVALUATION)
+            SceneTrace, with_arms=True, by=None)).routine(which)
 
     def _trace(self, kind, **how):
         table = self.system.effects
