@@ -15,15 +15,15 @@ import numpy as np
 
 from .function_table import (
     ALWAYS, BODY, EVALUATION, LEAST_FORCES, LEFT_OUT, LOOP_EQUATIONS, MOTION, OF_BRANCHES,
-    OF_FORCES, REACTIONS, REFINED, TORQUE_RESPONSE, WRENCHES)
+    OF_FORCES, OF_SCENE, REACTIONS, REFINED, TORQUE_RESPONSE, WRENCHES)
 from .machine_code import announced_by, PLACES
 from .routines import addresses, unrolled_size, with_torque_response
 from .space import is_spatial
 
 __all__ = ['ALWAYS', 'announced_by', 'can_be_unrolled', 'EVALUATION', 'LEAST_FORCES',
            'LEFT_OUT', 'link', 'MOST_UNROLLED_OPERATIONS', 'MOTION', 'OF_BRANCHES',
-           'OF_FORCES', 'REACTIONS', 'REFINED', 'relink', 'TORQUE_RESPONSE', 'unrolled_size',
-           'WRENCHES']
+           'OF_FORCES', 'OF_SCENE', 'REACTIONS', 'REFINED', 'relink', 'TORQUE_RESPONSE',
+           'unrolled_size', 'WRENCHES']
 
 # Unrolled code is three to twenty times as fast as loops over bodies. It grows with the mechanism:
 # up to so many operations of an evaluation, as they are traced, it is compiled in fifteen seconds

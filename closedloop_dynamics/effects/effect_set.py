@@ -191,7 +191,7 @@ class EffectSet:
             codegen.relink(self._model, self._system.table, self._system.joints)
         elif self._system.is_unrolled:
             codegen.relink(
-                self._model, self._system.table, self._system.joints, (codegen.MOTION,))
+                self._model, self._system.table, self._system.joints, codegen.OF_SCENE)
             scene_code.link(self._model, self._table, self._system.table)
             self._scene = scene_code.known_structure(self._system.table)
         self._linked = structure

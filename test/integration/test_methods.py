@@ -211,6 +211,20 @@ def test_errors_decay_alike_whether_baumgarte_is_named_in_the_scene_or_later(sce
     assert named.closure < 0.1 * never.closure
 
 
+def test_effects_act_on_where_another_method_follows_baumgarte():
+    left, never = (
+        Simulation.from_scene('bistable_toggle', integrator='rk4', stabilisation=one)
+        for one in ('baumgarte', 'projection'))
+    left.stepping.prepare_method(stabilisation='projection')()
+    torque = dict.fromkeys(never.actuated_joints, 3.0)
+    for one in (left, never):
+        one.step(torque, 0.1)
+    state = never.position, never.velocity
+    expected = never.forward_dynamics(*state)
+    np.testing.assert_allclose(
+        np.hstack(left.forward_dynamics(*state)), np.hstack(expected), rtol=0, atol=1e-9)
+
+
 def test_baumgarte_time_constant_is_tied_to_the_step():
     scene = Simulation.from_scene('four_bar', stabilisation='baumgarte', step_size=2e-4).scene
     assert scene.method.time_constant == pytest.approx(2e-3)
