@@ -659,12 +659,7 @@ def accelerate(recursion, model, work, tau, baumgarte, qdd, lam):
 
 
 def correct(recursion, model, work, error, out):
-    """
-    Find the least change of coordinates or rates, in the mass metric, that closes an error.
-
-    ``recursion``: at rest and without gravity; ``error``, shape (nc,): of the closures' positions
-    or rates, in elimination order; ``out``, shape (nv,), is written. Returns as ``accelerate``.
-    """
+    """Find a least change, as ``forward_dynamics.correct`` does."""
     recursion.update(model, work, NO_RESPONSES)
     work.bias[:] = error
     solve(recursion, model, work, len(out) * [0.0], 0.0, out, [*error])

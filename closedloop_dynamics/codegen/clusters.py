@@ -283,7 +283,7 @@ def accelerate(recursion, model, work, tau, baumgarte, qdd, lam):
 
 
 def correct(recursion, model, work, error, out):
-    """As of ``arms``."""
+    """Find a least change, as ``forward_dynamics.correct`` does."""
     return _solve(recursion, model, work, len(out) * [0.0], 0.0, error, out, [*error])
 
 

@@ -276,16 +276,6 @@ def accelerate(recursion, model, work, tau, baumgarte, qdd, lam):
 
 
 def correct(recursion, model, work, error, out):
-    """
-    Find the least change of coordinates or rates, in the mass metric, that closes an error.
-
-    ``error``, shape (nc,): of the closures' positions or rates, in elimination order; ``out``,
-    shape (nv,), is written. Returns whether every pivot was good.
-    """
-    kept = recursion.motion, recursion.inertia, recursion.force
-    # Nothing but the multipliers acts.
-    recursion.motion = [one._replace(spin_rate=ZERO) for one in recursion.motion]
-    recursion.force = [None] + (len(recursion.motion) - 1) * [2 * ZERO]
-    smallest = _solve(recursion, model, work, len(out) * [0.0], error, out)
-    recursion.motion, recursion.inertia, recursion.force = kept
-    return elimination.record_good_pivot(model, work, smallest)
+    """Find a least change, as ``forward_dynamics.correct`` does."""
+    return elimination.record_good_pivot(model, work, _solve(
+        recursion, model, work, len(out) * [0.0], error, out))

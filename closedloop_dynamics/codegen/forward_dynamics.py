@@ -63,6 +63,39 @@ def accelerate(recursion, model, work, tau, baumgarte, qdd, lam):
     return True
 
 
+def correct(recursion, model, work, error, out, prepare=prepare):
+    """
+    Find the least change of coordinates or rates, in the mass metric, that closes an error.
+
+    Parameters
+    ----------
+    recursion : joint_space.JointSpace
+        Of the bodies, at rest and without gravity.
+    model, work
+        As for ``accelerate``.
+    error : ndarray, shape (nc,)
+        Of the closures' positions or rates, in elimination order [m, rad; m/s, rad/s].
+    out : ndarray, shape (nv,)
+        Written in place [rad, m; rad/s, m/s].
+    prepare : callable
+        This module's, or that of ``refinement``.
+
+    Returns
+    -------
+    bool
+        As of ``accelerate``.
+
+    """
+    if not prepare(recursion, model, len(out) * [0.0], work):
+        return False
+    right = -error
+    elimination.solve(model, work, right)
+    work.body[:, RHS] = 0.0
+    apply(model, work, right)
+    recursion.outward_acceleration(model, work, out)
+    return True
+
+
 def solve(model, work, baumgarte):
     """Compute the multipliers, in ``work.right``, and add their forces to the joints' RHS."""
     free_acceleration(model, work, work.right)

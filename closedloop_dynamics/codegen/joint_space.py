@@ -347,7 +347,7 @@ def accelerate(recursion, model, work, tau, baumgarte, qdd, lam):
 
 
 def correct(recursion, model, work, error, out):
-    """As of ``arms``."""
+    """Find a least change, as ``forward_dynamics.correct`` does."""
     recursion.update(model, work, CARRIED)
     work.bias[:] = error
     return _solve(recursion, model, work, len(out) * [0.0], 0.0, out, [*error])

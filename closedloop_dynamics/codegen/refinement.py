@@ -15,7 +15,7 @@ A joint without any inertia gets a small one as a stand-in, whose effect the sam
 refinement removes.
 """
 
-from . import elimination
+from . import elimination, forward_dynamics
 from .expression_graph import chosen, larger
 from .forward_dynamics import apply, constraint_right_side, free_acceleration
 from ..engine.types import (
@@ -114,6 +114,11 @@ def prepare(recursion, model, tau, work):
     recursion.update(model, work, REDUCED)
     elimination.assemble(model, work)
     return elimination.factorize(model, work) > 0.0
+
+
+def correct(recursion, model, work, error, out):
+    """Find a least change, as ``forward_dynamics.correct`` does."""
+    return forward_dynamics.correct(recursion, model, work, error, out, prepare)
 
 
 def _unclosed(model, work, lam, right):

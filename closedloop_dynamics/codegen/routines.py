@@ -9,7 +9,7 @@ import math
 import numpy as np
 
 from . import (
-    arms, cache, clusters, elimination, embedding, forward_dynamics, joint_forces, joint_space,
+    arms, cache, clusters, embedding, forward_dynamics, joint_forces, joint_space,
     plane, refinement, space)
 from .expression_graph import (
     ADD, ARCTANGENT, CALL, DIVIDE, EXPONENTIAL, ExpressionGraph, graph_of, LOAD, LOGARITHM,
@@ -27,7 +27,7 @@ from .vectors import add, in_space, times, transpose
 from .workspace import zeros_like_workspace
 from ..engine import native
 from ..engine.types import (
-    CARRIED, CUT_ROW, DOF, NO_RESPONSES, number_of_coordinates, PATH_A, PATH_END, RHS, ROW, ROWS,
+    CARRIED, CUT_ROW, DOF, NO_RESPONSES, number_of_coordinates, PATH_A, PATH_END, ROW, ROWS,
     TYPE)
 
 NAMES = {EVALUATION: 'evaluation', OUTWARD: 'outward', ACCELERATION: 'acceleration',
@@ -532,31 +532,17 @@ class MechanismTrace:
     def correction(self, by=None):
         """Least changes of coordinates and of rates that close the loops, one after the other."""
         model, work, by = self.model, self.work, by or self.method()
-        embeds = by is not refinement and self.embeds()
         if by in IN_JOINTS:
             self.move()
         else:
             self.recursion.outward(model, self.q, self.qd, work)
-        if by in IN_JOINTS or embeds:
-            self.recursion.update(model, work, NO_RESPONSES)
-        else:
-            bool((by if by is refinement else forward_dynamics).prepare(
-                self.recursion, model, zeros(self.nv), work))
+            by = embedding if by is not refinement and self.embeds() else by
+        self.recursion.update(model, work, NO_RESPONSES)
         for n, error in enumerate((work.closure, work.closure_rate)):
-            out = zeros(self.nv)
-            if by in IN_JOINTS:
-                recursion, other = self.at_rest()
-                # The pivots are the same for both.
-                bool(by.correct(recursion, model, other.replaced(
-                    health=work.health if n == 0 else other.health), error, out))
-            elif embeds:
-                bool(embedding.correct(self.recursion, model, work, error, out))
-            else:
-                right = -error
-                elimination.solve(model, work, right)
-                work.body[:, RHS] = 0.0
-                forward_dynamics.apply(model, work, right)
-                self.recursion.outward_acceleration(model, work, out)
+            (recursion, other), out = self.at_rest(), zeros(self.nv)
+            # The pivots are the same for both.
+            bool(by.correct(recursion, model, other.replaced(
+                health=work.health if n == 0 else other.health), error, out))
             self.store(CORRECTIONS, out, n * self.nv)
         self.store(CLOSURE, work.closure)
         self.store(CLOSURE_RATE, work.closure_rate)
