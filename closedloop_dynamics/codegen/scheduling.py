@@ -7,6 +7,9 @@ In which order operations are written, so that a processor waits for few of them
 A processor looks some hundred instructions ahead. In the order of the recursions what takes
 longest, one body after the other, begins late; here that comes first from which the longest chain
 leads to the results, as soon as a processor can have its operands (list scheduling).
+
+Routines that are too large for the caches of instructions wait for these, so what counts are
+instructions: there most of those that keep values on the stack go, where operations are late.
 """
 
 import heapq
@@ -25,7 +28,7 @@ _RATE = 2.5
 # Values that may wait in registers, and how many operations are then compared for which of them
 # needs least more.
 _REGISTERS, _COMPARED = 28, 64
-# With more operations than this the order of the recursions keeps more in registers.
+# With more operations than this instructions come from beyond the first caches.
 MOST = 2000
 
 
@@ -45,14 +48,14 @@ def by_urgency(operations, groups, known):
     Returns
     -------
     list of tuples of int
-        The groups that are left, but for loads, which wait until they are needed; None where they
-        are too many, or functions of the engine are asked, which remember what they found.
+        The groups that are left, but for loads, which wait until they are needed; None where
+        functions of the engine are asked, which remember what they found.
 
     """
     group_of = {place: group for group in groups for place in group}
     kinds = {group: operations[group[0]][0] for group in groups}
     left = [group for group in groups if kinds[group] != LOAD and group[0] not in known]
-    if len(left) > MOST or CALL in kinds.values():
+    if CALL in kinds.values():
         return None
     before = {group: {group_of[one] for place in group for one in operations[place][1:]
                       if isinstance(one, int)} for group in left}
@@ -61,6 +64,8 @@ def by_urgency(operations, groups, known):
         before[group] = {one for one in before[group] if kinds[one] != LOAD}
         for one in before[group]:
             after[one].append(group)
+    if len(left) > MOST:
+        return _late(left, before, after)
     crossing, cycles, height = {}, {}, {}
     for group in left:
         for column in zip(*(operations[place][1:] for place in group)):
@@ -75,6 +80,22 @@ def by_urgency(operations, groups, known):
         height[group] = cycles[group] + max(
             (height[one] + crossing.get((group, one), 0) for one in after[group]), default=0)
     return _list_schedule(left, before, after, height, cycles, crossing)
+
+
+def _late(left, before, after):
+    """
+    Return what is ``left``, each as late as at most one of its operands waits longer for that.
+
+    Its result then waits for so much less.
+    """
+    place = {group: n for n, group in enumerate(left)}
+    for group in reversed(left):
+        first = min((place[one] for one in after[group]), default=place[group])
+        longer = sum(all(place[one] < first for one in after[operand] if one != group)
+                     for operand in before[group])
+        if longer <= 1:
+            place[group] = first
+    return sorted(left, key=place.get)
 
 
 def _list_schedule(left, before, after, height, cycles, crossing):

@@ -5,6 +5,7 @@
 
 import copy
 import ctypes
+import itertools
 import math
 
 from closedloop_dynamics import codegen, load_scene
@@ -146,20 +147,22 @@ def branches(seed, number=5, length=150):
 
 
 @pytest.mark.parametrize('seed', cases.first(4, range(8)))
-def test_vectors_of_branches_round_as_single_numbers_do(seed):
+def test_vectors_of_branches_and_large_routines_round_as_single_numbers_do(seed, monkeypatch):
     made = branches(seed)
     assert packing_of(made, []) is not None
     random, found = np.random.default_rng(seed), []
     inputs = [random.normal(size=30) for _ in range(20)]
-    for form in (SCALAR, PACKED):
-        address = machine_code(('branches', seed), lambda: [branches(seed)], form)('whole')
+    for form, most in itertools.product((SCALAR, PACKED), (scheduling.MOST, 0)):
+        monkeypatch.setattr(scheduling, 'MOST', most)
+        address = machine_code(('branches', seed, most), lambda: [branches(seed)], form)('whole')
         run = ctypes.CFUNCTYPE(ctypes.c_int64, *3 * [ctypes.c_void_p])(address)
         out = np.zeros((len(inputs), len(made.outputs)))
         for q, row in zip(inputs, out):
             table = np.array([row.ctypes.data])
             run(table.ctypes.data, q.ctypes.data, q.ctypes.data)
         found.append(out)
-    np.testing.assert_array_equal(*found)
+    for other in found[1:]:
+        np.testing.assert_array_equal(found[0], other)
 
 
 def test_machine_code_is_read_back(tmp_path, monkeypatch):
@@ -329,4 +332,18 @@ def test_operations_in_order_of_urgency_follow_their_operands():
     # What everything waits for longest comes first.
     found = [place for place, in scheduling.by_urgency(graph.operations, groups, ())]
     assert graph.operations[found[0]][0] == MULTIPLY and found[-1] == last.place
-    assert scheduling.by_urgency(graph.operations, groups * scheduling.MOST, ()) is None
+
+
+def test_operations_of_large_routines_wait_unless_their_operands_would(monkeypatch):
+    monkeypatch.setattr(scheduling, 'MOST', 0)
+    graph = ExpressionGraph()
+    one, other, third = (graph.put(LOAD, Q, k) for k in range(3))
+    ratio = one / other
+    # In the place of two numbers that nothing else needs one waits.
+    factors = one * third, other - third
+    product = factors[0] * factors[1]
+    last = product + ratio
+    found = scheduling.by_urgency(
+        graph.operations, [(place,) for place in range(len(graph.operations))], ())
+    assert [place for place, in found] == [
+        value.place for value in (*factors, product, ratio, last)]
