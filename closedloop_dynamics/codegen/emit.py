@@ -14,6 +14,8 @@ from .llvm_text import BIT, DOUBLE, DOUBLES, Function, integer, number, WORD, WO
 # Functions of the C library, of laws of force.
 _LIBRARY = {EXPONENTIAL: 'exp', LOGARITHM: 'log', POWER: 'pow'}
 _MOST_RESULTS = 5
+# Instructions after which large routines load inputs again: that takes fewer than keeping them.
+_AGAIN = 200
 _ARITHMETIC = {ADD: 'fadd', SUBTRACT: 'fsub', MULTIPLY: 'fmul', DIVIDE: 'fdiv'}
 _COMPARISONS = {LESS: 'fcmp olt', GREATER_EQUAL: 'fcmp oge'}
 
@@ -37,6 +39,8 @@ class Writer:
         self.conditions = []
         # Whether the order is one that LLVM is to keep.
         self.ordered = False
+        # Inputs that are loaded, of large routines since that instruction.
+        self.is_large, self._loaded, self._since = False, [], 0
 
     def number(self, operand):
         """Return the value of an operand."""
@@ -67,6 +71,7 @@ class Writer:
         operations = self.routine.graph.operations
         for place, in self.in_order(operations, [(one,) for one in sorted(self.routine.needed())],
                                     self.values):
+            self.forget_inputs()
             self.compute(place)
         self.finish()
 
@@ -74,18 +79,30 @@ class Writer:
         """Return groups of operations, each after its operands, in the order to be written."""
         found = scheduling.by_urgency(operations, groups, known)
         self.ordered = found is not None
+        self.is_large = self.ordered and len(found) > scheduling.MOST
         return found if self.ordered else groups
 
     def compute(self, place):
         """Compute an operation, unless that is done, after those that it takes."""
         if place not in self.values:
             kind, *operands = self.routine.graph.operations[place]
+            if kind == LOAD:
+                self._loaded.append(place)
             if kind in (SINE, COSINE):
                 self.turn_later(*operands)
             elif kind == ARCTANGENT:
                 self.turn_back(place)
             else:
                 self.values[place] = self.operation(kind, *operands)
+
+    def forget_inputs(self):
+        """Load inputs again from here on, where they would be kept on the stack."""
+        if self.is_large and self.function.count - self._since > _AGAIN:
+            for place in self._loaded:
+                self.values.pop(place, None)
+            self.pointers = {source: self.function.again(pointer)
+                             for source, pointer in self.pointers.items()}
+            self._loaded, self._since = [], self.function.count
 
     def turn_first(self):
         """Compute all sines and cosines that depend on no others of these."""

@@ -59,7 +59,7 @@ class Function:
         listed = ', '.join(' '.join(one) for one in self.arguments)
         # Vectors that wait on the stack are each in one line of the cache.
         self._head = f'define {WORD} @{name}({listed}) alignstack(64) {{'
-        self._first, self._lines, self._count, self._declared = [], [], 0, declared
+        self._first, self._lines, self.count, self._declared = [], [], 0, declared
 
     def text(self):
         """Return the whole function."""
@@ -67,8 +67,8 @@ class Function:
 
     def result(self, kind, instruction):
         """Write an instruction, and return its value, of a given type."""
-        self._count += 1
-        name = f'%v{self._count}'
+        self.count += 1
+        name = f'%v{self.count}'
         self._lines.append(f'{name} = {instruction}')
         return kind, name
 
@@ -106,6 +106,11 @@ class Function:
         kind = array[0]
         return self.result(kind, f'getelementptr {kind[:-1]}, {_typed(array)}, {WORD} {place}')
 
+    def again(self, array):
+        """Write an array of its own: what was loaded from the other one is not known here."""
+        kind = array[0]
+        return self.result(kind, f'call {kind} asm "", "=r,0"({_typed(array)})')
+
     def load(self, address, options=''):
         """Write the load of a value from an address."""
         kind = address[0][:-1]
@@ -120,8 +125,8 @@ class Function:
 
     def room(self, kind, count):
         """Write the allocation of an array on the stack, once for the whole function."""
-        self._count += 1
-        name = f'%v{self._count}'
+        self.count += 1
+        name = f'%v{self.count}'
         self._first.append(f'{name} = alloca {kind}, {INDEX} {count}')
         return f'{kind}*', name
 
@@ -176,8 +181,8 @@ class Function:
 
     def blocks(self, *names):
         """Return names of new blocks."""
-        self._count += 1
-        return [f'{name}{self._count}' for name in names]
+        self.count += 1
+        return [f'{name}{self.count}' for name in names]
 
     def begin(self, block):
         self._lines.append(f'{block}:')

@@ -24,6 +24,7 @@ class PackedWriter(Writer):
         operations, turned = self.packing.operations, self.packing.turned
         for members in self.in_order(
                 operations, list(self.packing.ordered()), {*self.values, *turned}):
+            self.forget_inputs()
             if len(members) > 1:
                 self._compute(operations, members)
             elif turned.isdisjoint(members):
