@@ -89,11 +89,13 @@ def test_arms_give_the_motion_of_dense_matrices(name, rotors):
 
 
 @pytest.mark.parametrize(('name', 'row', 'where'), SINGULAR)
-def test_next_to_a_singular_arm_results_are_right_or_not_used(name, row, where):
+@pytest.mark.parametrize('which', [calls.EVALUATION, calls.CORRECTION])
+def test_next_to_a_singular_arm_results_are_right_or_not_used(which, name, row, where):
     model, q, qd, tau = drawn(name)
     used = []
-    made = {with_arms: trace(model, with_arms).routine(calls.EVALUATION)
-            for with_arms in (True, False)}
+    made = {with_arms: trace(model, with_arms).routine(which) for with_arms in (True, False)}
+    results = ((calls.CORRECTIONS, 2 * len(qd)),) if which == calls.CORRECTION else (
+        (calls.QDD, len(qd)), (calls.LAM, len(model.column) - 1))
     for distance in (0.5, *10.0 ** -np.arange(1.0, 13.0), 0.0):
         q[model.tree[row, t.COORDINATE]] = where - distance
         inputs = _inputs(model, q, qd, tau)
@@ -102,7 +104,7 @@ def test_next_to_a_singular_arm_results_are_right_or_not_used(name, row, where):
         if good:
             expected, _ = interpret(made[False], {
                 source: array.astype(np.longdouble) for source, array in inputs.items()})
-            for source, size in (calls.QDD, len(qd)), (calls.LAM, len(model.column) - 1):
+            for source, size in results:
                 assert_agree(_array(outputs, source, size), _array(expected, source, size), 1e-12)
     assert used[0] and not any(used[2:])
 

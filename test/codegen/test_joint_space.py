@@ -35,6 +35,7 @@ def results(model, by, which, inputs, kind=float):
     nv, nc = len(model.tree) - 1, len(model.column) - 1
     return {source: _array(outputs, source, size) for source, size in (
         (calls.QDD, nv), (calls.LAM, nc), (calls.CLOSURE, nc), (calls.CLOSURE_RATE, nc),
+        (calls.CORRECTIONS, 2 * nv),
         (calls.HEALTH, t.HEALTH_COLUMNS))}
 
 
@@ -49,10 +50,11 @@ def test_motion_forces_and_pivots_are_those_of_articulated_bodies(name, rotors):
             plain & (model.tree[1:, t.PARENT] > 0), ROTOR)
     inputs = _inputs(model, q, qd, tau)
     inputs[calls.BAUMGARTE] = np.full(len(inputs[calls.BAUMGARTE]), 3.0)
-    found = results(model, joint_space, calls.EVALUATION, inputs)
-    expected = results(model, forward_dynamics, calls.EVALUATION, inputs, np.longdouble)
-    for source, values in expected.items():
-        assert_agree(found[source], values, 1e-12)
+    for which in (calls.EVALUATION, calls.CORRECTION):
+        found = results(model, joint_space, which, inputs)
+        expected = results(model, forward_dynamics, which, inputs, np.longdouble)
+        for source, values in expected.items():
+            assert_agree(found[source], values, 1e-12)
 
 
 @pytest.mark.parametrize('name', ['bricard', 'excavator_arm'])
