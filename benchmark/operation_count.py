@@ -129,12 +129,17 @@ def count(model):
 
 
 def models():
-    """Return {name: model} of the mechanisms of the shipped scenes and a ladder."""
-    found = {}
-    for mechanism in [load_scene(name).mechanism for name in scene_names()] + [ladder(LADDER)[0]]:
-        if mechanism.name not in found and len(mechanism.joints) <= MOST_JOINTS:
-            found[mechanism.name] = build_model(mechanism)
-    return found
+    """
+    Return {name: model} of the mechanisms of the shipped scenes and a ladder.
+
+    As they are simulated: without closure equations that repeat others.
+    """
+    found, rungs = {}, ladder(LADDER)[0]
+    for scene in map(load_scene, scene_names()):
+        name, joints = scene.mechanism.name, scene.mechanism.joints
+        if name not in found and len(joints) <= MOST_JOINTS:
+            found[name] = Simulation(scene).data.system.model
+    return {**found, rungs.name: build_model(rungs)}
 
 
 def rivals():
