@@ -20,7 +20,7 @@ an arm, where it returns False.
 """
 
 import functools
-from itertools import zip_longest
+import itertools
 
 from . import elimination, space
 from .expression_graph import branch, chosen, larger
@@ -48,6 +48,8 @@ MOST_LEFT = 8
 MOST_ROWS = 100
 # Equations that an arm has at most.
 _MOST = 3
+# Those of a loop of one freedom whose other equations hold by its shape, as of Bricard's linkage.
+_MOST_IN_ONE_LOOP = 4
 # Keys of equations begin with this: of a cut joint one has its place in the elimination order
 # behind it, of a floating body the row of the tree and a component. Keys of unknowns are rows of
 # the tree, and pairs of one that floats and a component.
@@ -200,6 +202,9 @@ class Plan:
             if len(group) == 2:
                 # Of three or more only one is never across both equations in vain.
                 return joints if len(joints) <= 2 else joints[:1]
+            if len(group) == _MOST_IN_ONE_LOOP:
+                # All but the first one of a chain, which turns it.
+                return joints[:-1] if len(joints) == len(group) + 1 else []
             return joints if len(group) == _MOST and 2 <= len(joints) <= 3 else []
 
         self.steps, over = [], set()
@@ -352,26 +357,35 @@ class Equations:
                  *sum(levers.values(), []), *force, *given, *sum(axes or (), ()), *squares]
         self._stage = name = len(joints), len(rows), axes is not None
         with branch(name, known) as number:
-            inverse, volume = inverted(transpose(columns) if spare else columns)
-            square = dot(inverse[-1], inverse[-1])
+            cofactors, across, volume, size = adjugate(transpose(columns) if spare else columns)
+            inverse = [scale(row, 1.0 / size) for row in cofactors]
             if axes:
-                inverse = product(inverse, transpose(axes))
-            across, inverse = inverse[-1], inverse[:min(len(joints), len(rows))]
+                cofactors, inverse = (
+                    product(one, transpose(axes)) for one in (cofactors, inverse))
             if spare:
-                inverse = transpose(inverse)
+                cofactors, inverse = transpose(cofactors), transpose(inverse)
             # At the tip motions that act there by few numbers do so on its apparent inertia.
             few = {} if spare or _symbols(sum(levers.values(), [])) >= len(joints) * len(
                 levers) else {key: one for key, one in levers.items() if key not in coupled}
-            moved = {key: times(inverse, column)
-                     for key, column in levers.items() if key not in few}
+
+            def taken(column):
+                if few or len(levers) >= len(joints):
+                    return times(inverse, column)
+                # The division is done beside the products.
+                return scale(times(cofactors, column), 1.0 / size)
+
+            moved = {key: taken(column) for key, column in levers.items() if key not in few}
             if spare:
-                moved[_free(rows)] = negate(across)
-            start = times(inverse, given)
+                moved[_free(rows)] = negate(*across)
+            start = taken(given)
             rest, pushed = self._put_in(moved, start, mass, coupled, force)
             if few:
                 self._put_in_at_tip(few, transpose(inverse), mass, rest, pushed)
             if fewer:
-                left = rows[-1]
+                left, (across,) = rows[-1], across
+                square = dot(across, across)
+                if axes:
+                    across = times(axes, across)
                 for key, column in levers.items():
                     self.add(left, key, dot(across, column))
                     self._squares[left, key] = square * dot(column, column)
@@ -456,15 +470,9 @@ class AlwaysSingularError(ValueError):
     """An arm whose joints cannot move what its equations hold, at any position."""
 
 
-def inverted(columns):
-    """Return the inverse of one to three columns, a row across these, and their determinant."""
-    rows, across, volume, size = adjugate(columns)
-    return (*(scale(row, 1.0 / size) for row in rows), *across), volume
-
-
 def adjugate(columns):
     """
-    Return the inverse of one to three columns times a size, a row across, determinant and size.
+    Return the inverse of one to four columns times a size, a row across, determinant and size.
 
     AlwaysSingularError where the determinant is zero whatever the position is.
 
@@ -478,6 +486,8 @@ def adjugate(columns):
     elif len(columns) == len(columns[0]) == 2:
         (a, c), (b, d) = columns
         volume, rows = a * d - b * c, ((d, 0.0 - b), (0.0 - c, a))
+    elif len(columns) == _MOST_IN_ONE_LOOP:
+        volume, rows = _cofactors_of_four(columns)
     elif len(columns) == 3:
         a, b, c = columns
         rows = cross(b, c), cross(c, a), cross(a, b)
@@ -498,6 +508,22 @@ def adjugate(columns):
     if is_number(volume, 0.0):
         raise AlwaysSingularError
     return rows, across, volume, volume if size is None else size
+
+
+def _cofactors_of_four(columns):
+    """Return the determinant of four columns and their cofactors, by areas of halves."""
+    pairs = list(itertools.combinations(range(4), 2))
+    upper, lower = ({(m, n): columns[m][k] * columns[n][k + 1] - columns[m][k + 1] * columns[n][k]
+                     for m, n in pairs} for k in (0, 2))
+    areas = [upper[one] * lower[other] for one, other in zip(pairs, reversed(pairs))]
+    rows = []
+    for n in range(4):
+        a, b, c = (m for m in range(4) if m != n)
+        found = [columns[a][k] * half[b, c] - columns[b][k] * half[a, c] + columns[c][k] * half[a, b]
+                 for k, half in ((1, lower), (0, lower), (3, upper), (2, upper))]
+        rows.append(tuple(value if (n + k) % 2 == 0 else 0.0 - value
+                          for k, value in enumerate(found)))
+    return (areas[0] + areas[5]) - (areas[1] + areas[4]) + (areas[2] + areas[3]), tuple(rows)
 
 
 def _symbols(values):
@@ -741,7 +767,7 @@ def _balanced(terms):
 
 def _in_pairs(values):
     half = (len(values) + 1) // 2
-    return [one + other for one, other in zip_longest(
+    return [one + other for one, other in itertools.zip_longest(
         values[:half], values[half:], fillvalue=0.0)]
 
 

@@ -239,7 +239,7 @@ class MechanismTrace:
         self.by_arms = False
         if which in (EVALUATION, MOTION, ACCELERATION, CORRECTION) and (
                 self.method() in IN_JOINTS):
-            if self.by_arms and self.arrays is space:
+            if self.by_arms and self.arrays is space and self._has_several_arms():
                 self.recursion = self.recursion_of(
                     space.bodies(self.constant, self.model.body, arms=True))
             self.recursion.hinges = ()
@@ -362,6 +362,10 @@ class MechanismTrace:
         self.by_arms = self.by is arms or self.by is clusters and clusters.step_aside(
             self.clusters)
         return self.by
+
+    def _has_several_arms(self):
+        plan = arms.Plan.of(self.recursion, self.constant)
+        return plan is None or len(plan.steps) > 1
 
     def embeds(self):
         """Return whether loops close on bodies: they are eliminated there."""

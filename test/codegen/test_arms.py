@@ -58,7 +58,7 @@ def test_all_legs_go_side_by_side(name):
     assert name != 'delta_robot' or 3 * lanes_of.count(3) > 0.15 * len(routine.needed())
 
 
-@pytest.mark.parametrize('name', PLANAR + SPATIAL)
+@pytest.mark.parametrize('name', PLANAR + SPATIAL + ('bricard',))
 def test_arms_give_the_motion_of_the_elimination_of_multipliers(name):
     for seed in range(3):
         state = drawn(name, seed)
@@ -109,6 +109,19 @@ def test_next_to_a_singular_arm_results_are_right_or_not_used(which, name, row, 
     assert used[0] and not any(used[2:])
 
 
+def test_far_from_where_a_loop_of_four_equations_closes_results_are_right_or_not_used():
+    used = []
+    for seed in range(40):
+        state = drawn('bricard', seed, spread=3.0)
+        qdd, lam, good = evaluated(*state)
+        used.append(good)
+        if good:
+            expected, forces, _ = evaluated(*state, with_arms=False, kind=np.longdouble)
+            assert_agree(qdd, expected, 1e-11)
+            assert_agree(lam, forces, 1e-11)
+    assert 10 < sum(used) < 40
+
+
 @pytest.mark.parametrize(('lean', 'used'), [(0.5, True), (0.0, False)])
 def test_results_are_not_used_where_what_arms_leave_is_dependent(lean, used):
     """Between upright rods the platform of a Delta robot may turn about the vertical."""
@@ -141,6 +154,8 @@ def test_arms_are_found_by_structure():
     # One loop: with parallel axes its links are an arm that keeps a motion, with others the
     # elimination of multipliers takes less.
     assert len(rows_of_arms('four_bar').steps) == 1 and rows_of_arms('bennett') is None
+    # All but the first joint of a loop whose shape makes two of its equations superfluous.
+    assert [joints for joints, _ in rows_of_arms('bricard').steps] == [[5, 4, 3, 2]]
 
 
 @pytest.mark.parametrize('name', ['three_rrr', 'stewart_platform'])

@@ -68,8 +68,7 @@ def test_forces_of_effects_are_added(name):
 
 
 def test_the_shorter_one_is_taken():
-    for name, by in (('bricard', joint_space), ('bennett', joint_space),
-                     ('rssr_four_bar', forward_dynamics)):
+    for name, by in ('bennett', joint_space), ('rssr_four_bar', forward_dynamics):
         model = drawn(name)[0]
         assert routines.MechanismTrace(model).method() is by
         counts = {one: routines.count_operations(trace(model, one).routine(calls.EVALUATION))
