@@ -519,7 +519,8 @@ def _cofactors_of_four(columns):
     rows = []
     for n in range(4):
         a, b, c = (m for m in range(4) if m != n)
-        found = [columns[a][k] * half[b, c] - columns[b][k] * half[a, c] + columns[c][k] * half[a, b]
+        found = [columns[a][k] * half[b, c] - columns[b][k] * half[a, c]
+                 + columns[c][k] * half[a, b]
                  for k, half in ((1, lower), (0, lower), (3, upper), (2, upper))]
         rows.append(tuple(value if (n + k) % 2 == 0 else 0.0 - value
                           for k, value in enumerate(found)))

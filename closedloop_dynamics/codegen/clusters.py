@@ -5,10 +5,11 @@
 The forward dynamics cluster by cluster: loops are eliminated with their joints, on one body.
 
 A cluster is loops that share joints, and all joints between them and the body that they close on;
-a joint in no loop is one of its own. With the inertias of what its bodies carry the joints of a
-cluster are eliminated as ``arms`` are: the closure equations, in which nothing of the closing
-body's motion occurs, give some from the others, and what is left is an inertia and a force on that
-body. No multiplier is left to it, and no equation has joints of two clusters.
+a joint in no loop is one of its own, as are those of a free body. With the inertias of what its
+bodies carry the joints of a cluster are eliminated as ``arms`` are: the closure equations, in
+which nothing of the closing body's motion occurs, give some from the others, and what is left is
+an inertia and a force on that body. No multiplier is left to it, and no equation has joints of two
+clusters.
 
 All is formed in the axes of ``joint_space.View``, where a planar loop is two equations and its
 inertias keep their zeros however the body turns that carries it. Loops are seen from that body as
@@ -18,6 +19,8 @@ gap times the turning of that body.
 ``accelerate`` takes the place of that of ``forward_dynamics`` for mechanisms in space.
 """
 
+import functools
+import math
 from typing import NamedTuple
 
 from . import arms, elimination, space
@@ -25,8 +28,8 @@ from .forward_dynamics import to_user_order
 from .joint_space import turned_inertia
 from .spatial import aligned, Recursion, shifted
 from .vectors import (
-    add, cross, dot, IDENTITY, in_blocks, is_zero, product, scale, symmetric, times, transpose,
-    ZERO)
+    add, cross, dot, IDENTITY, in_blocks, is_zero, product, scale, subtract, symmetric, times,
+    transpose, ZERO)
 from ..engine.types import BODY_A, BODY_B, DOF, EVALUATIONS, PARENT, ROW
 
 
@@ -38,7 +41,7 @@ class Cluster(NamedTuple):
     #: ``rows``, ``cuts``: Of the tree, and places of cut joints (lists of int).
     rows: list
     cuts: list
-    #: How they are eliminated; None for one joint in no loop (arms.Plan or None).
+    #: How they are eliminated; None for joints in no loop: one, or all of a free body (arms.Plan).
     plan: object
 
 
@@ -80,8 +83,28 @@ def clusters(recursion, model):
         if not plan.complete or sum(map(len, plan.unknowns)) > arms.MOST_LEFT:
             return None
         found.append(Cluster(closing, sorted(rows), cuts, plan))
+    free = _free_bodies(recursion, parent)
+    held.update(i for rows in free for i in rows)
+    found += [Cluster(0, rows, [], None) for rows in free]
     found += [Cluster(parent[i], [i], [], None) for i in range(1, len(parent)) if i not in held]
     return sorted(found, key=lambda one: one.rows[0], reverse=True)
+
+
+def _free_bodies(recursion, parent):
+    """Return the rows of bodies that three slides and a spherical joint carry, and no other."""
+    found = []
+    for last in range(6, len(parent)):
+        rows = list(range(last - 5, last + 1))
+        bodies = [recursion.bodies[i] for i in rows]
+        slides, ball, between = bodies[:3], bodies[3:], bodies[:-1]
+        if (parent[rows[0]:last + 1] == [0, *rows[:-1]]
+                and all(one.slides and not one.turns and one.turned is None for one in slides)
+                and {one.axis for one in slides} == {0, 1, 2} and all(one.ball for one in ball)
+                and all(one.armature is None for one in bodies)
+                and all(parent.count(i) == 1 for i in rows[:-1]) and is_zero(sum(
+                    ((one.mass, *one.moment, *sum(one.inertia, ())) for one in between), ()))):
+            found.append(rows)
+    return found
 
 
 def _keeps_axis(body, parent):
@@ -128,10 +151,12 @@ class _Tree:
 
     def eliminate(self, cluster):
         """Eliminate a cluster; add what is left of it to its closing body."""
-        if cluster.plan is None:
-            self._eliminate_joint(cluster.rows[0])
-        else:
+        if cluster.plan is not None:
             self._eliminate_loops(cluster)
+        elif len(cluster.rows) > 1:
+            self._eliminate_free_body(cluster.rows)
+        else:
+            self._eliminate_joint(cluster.rows[0])
 
     def _on_parent(self, i, inertia, force):
         """Add an inertia and a force of a body to its parent."""
@@ -167,6 +192,33 @@ class _Tree:
                 # What the joint's own coordinate and all before it add up to.
                 x[i] = change - before[alone]
                 self.acceleration[i] = before[:alone] + (change,) + before[alone + 1:]
+
+        self._undo.append(undo)
+
+    def _eliminate_free_body(self, rows):
+        """Find the acceleration of a body that nothing carries, in its own axes."""
+        slides, ball, last = rows[:3], rows[3:], rows[-1]
+        turn, found, torque = self.views[ball[0]].turn, arms.Equations(), {
+            i: self.tau[self.model.tree[i, DOF]] for i in rows}
+        inertia, force = map(add, self.rigid[last].matrix(), self.inertia[last]), [
+            *(torque[i] for i in ball), *times(transpose(turn), functools.reduce(add, (
+                subtract(scale(self.axis[i][3:], torque[i]), self.force[i][3:]) for i in slides)))]
+        for one in self.rigid[last].force, *(self.force[i] for i in ball):
+            force = subtract(force, one)
+        keys = [(last, n) for n in range(6)]
+        for n, row in enumerate(inertia):
+            found.add_right(keys[n], force[n])
+            for m in range(n + 1):
+                found.add(keys[n], keys[m], row[m])
+        for some in keys[3:], keys[:3]:
+            largest = math.prod(found.entry(key, key) for key in some)
+            bool(found.eliminate(some)[-1] > arms.ROUNDING * largest)
+
+        def undo(x):
+            found.solution(x)
+            moved = self.acceleration[last] = tuple(x[key] for key in keys)
+            x.update((i, moved[self.recursion.bodies[i].axis]) for i in ball)
+            x.update((i, dot(self.axis[i][3:], times(turn, moved[3:]))) for i in slides)
 
         self._undo.append(undo)
 
