@@ -21,6 +21,7 @@ an arm, where it returns False.
 
 import functools
 import itertools
+from typing import NamedTuple
 
 from . import elimination, space
 from .expression_graph import branch, chosen, larger
@@ -252,7 +253,7 @@ class Equations:
 
     def __init__(self):
         self.matrix, self._right, self._squares, self._undo = {}, {}, {}, []
-        self._turned, self._stage = {}, None
+        self._turned, self._stage, self._exchanged = {}, None, []
 
     def add(self, a, b, value):
         """Add to the entries of two keys."""
@@ -338,6 +339,60 @@ class Equations:
         for joint in turning.intersection(joints):
             bool(self._square(joint, rows) >= SHORT_LEVER * longest)
 
+    def substitute(self, steps):
+        """
+        Put the motion of later arms into the equations of earlier ones, where that has fewer keys.
+
+        So it is in a chain of loops that one crank moves. Of every arm joints are taken by as many
+        equations, or keep one motion.
+        """
+        arms, known = {}, {}
+        for arm in reversed(steps):
+            keys = self._beside(*arm)
+            inner = [arms[key] for key in keys if key in arms]
+            outer = {key for key in keys if key not in arms}
+            for joints, rows in inner:
+                outer.update(self._beside(joints, rows), len(joints[len(rows):]) * [_free(rows)])
+            if len(outer) < len(keys):
+                for one in inner:
+                    known.update(self._motion(*one))
+                for row in arm[1]:
+                    self._exchange(row, known)
+            arms.update(dict.fromkeys(arm[0], arm))
+
+    def _motion(self, joints, rows):
+        """Return the ``_Motion`` of joints by equations."""
+        keys = self._beside(joints, rows)
+        arm = _Inverse.of(*self._columns(joints, rows), len(keys))
+        start = arm.taken([self.right(row) for row in rows])
+        moved = {key: arm.taken([self.entry(row, key) for row in rows]) for key in keys}
+        if len(joints) > len(rows):
+            moved[_free(rows)] = negate(*arm.across)
+        return {joint: _Motion(start[n], {key: column[n] for key, column in moved.items()},
+                               dict(zip(rows, arm.rows[n]))) for n, joint in enumerate(joints)}
+
+    def _columns(self, joints, rows):
+        """Return the columns of joints in equations, and the axes in which they are, if any."""
+        axes, own = self._turned.get(tuple(rows), (None, {}))
+        return [own[joint] if axes else [self.entry(row, joint) for row in rows]
+                for joint in joints], axes
+
+    def _beside(self, joints, rows):
+        """Return the keys in equations, but for joints."""
+        return list(dict.fromkeys(
+            key for row in rows for key in self.matrix.get(row, ()) if key not in joints))
+
+    def _exchange(self, row, known):
+        """Put the ``_Motion`` of joints into an equation."""
+        for joint in [joint for joint in known if joint in self.matrix.get(row, ())]:
+            factor, motion = self.entry(row, joint), known[joint]
+            del self.matrix[row][joint], self.matrix[joint][row]
+            self.add_right(row, 0.0 - factor * motion.start)
+            for key, value in motion.moved.items():
+                self.add(row, key, 0.0 - factor * value)
+            self._exchanged += [
+                (row, other, factor * value) for other, value in motion.by.items()]
+
     def eliminate_arm(self, joints, rows):
         """
         Eliminate joints by equations; return the squared sine.
@@ -347,9 +402,7 @@ class Equations:
         """
         fewer, spare = len(joints) < len(rows), len(joints) > len(rows)
         squares = [self._square(joint, rows) for joint in joints]
-        axes, own = self._turned.get(tuple(rows), (None, {}))
-        columns = [own[joint] if axes else [self.entry(row, joint) for row in rows]
-                   for joint in joints]
+        columns, axes = self._columns(joints, rows)
         mass, coupled, force = self._take(joints)
         coupled = {key: column for key, column in coupled.items() if key not in rows}
         _, levers, given = self._take(rows)
@@ -357,32 +410,19 @@ class Equations:
                  *sum(levers.values(), []), *force, *given, *sum(axes or (), ()), *squares]
         self._stage = name = len(joints), len(rows), axes is not None
         with branch(name, known) as number:
-            cofactors, across, volume, size = adjugate(transpose(columns) if spare else columns)
-            inverse = [scale(row, 1.0 / size) for row in cofactors]
-            if axes:
-                cofactors, inverse = (
-                    product(one, transpose(axes)) for one in (cofactors, inverse))
-            if spare:
-                cofactors, inverse = transpose(cofactors), transpose(inverse)
+            arm = _Inverse.of(columns, axes, len(levers))
             # At the tip motions that act there by few numbers do so on its apparent inertia.
             few = {} if spare or _symbols(sum(levers.values(), [])) >= len(joints) * len(
                 levers) else {key: one for key, one in levers.items() if key not in coupled}
-
-            def taken(column):
-                if few or len(levers) >= len(joints):
-                    return times(inverse, column)
-                # The division is done beside the products.
-                return scale(times(cofactors, column), 1.0 / size)
-
-            moved = {key: taken(column) for key, column in levers.items() if key not in few}
+            moved = {key: arm.taken(column) for key, column in levers.items() if key not in few}
             if spare:
-                moved[_free(rows)] = negate(*across)
-            start = taken(given)
+                moved[_free(rows)] = negate(*arm.across)
+            start = arm.taken(given)
             rest, pushed = self._put_in(moved, start, mass, coupled, force)
             if few:
-                self._put_in_at_tip(few, transpose(inverse), mass, rest, pushed)
+                self._put_in_at_tip(few, transpose(arm.rows), mass, rest, pushed)
             if fewer:
-                left, (across,) = rows[-1], across
+                left, (across,) = rows[-1], arm.across
                 square = dot(across, across)
                 if axes:
                     across = times(axes, across)
@@ -397,14 +437,14 @@ class Equations:
                     *known, *(x[key] for key in keys), *start, *rest,
                     *sum(moved.values(), ()), *sum(pushed.values(), ())], number):
                 if few:
-                    found = times(inverse, _less(given, levers, x))
+                    found = times(arm.rows, _less(given, levers, x))
                     loads = _less(_less(force, coupled, x), dict(zip(joints, mass)), dict(
                         zip(joints, found)))
                 else:
                     # Neither waits for the other.
                     found = _less(start, moved, x)
                     loads = negate(_less(rest, pushed, x))
-                multipliers = times(transpose(inverse), loads)
+                multipliers = times(transpose(arm.rows), loads)
                 if fewer:
                     multipliers = add(multipliers, scale(across, x[rows[-1]]))
             x.update(zip(joints, found))
@@ -413,11 +453,11 @@ class Equations:
         self._undo.append(undo)
         if spare:
             one, two, three = squares
-            return volume / (one * two + (one + two) * three)
+            return arm.volume / (one * two + (one + two) * three)
         if axes and all(sum(not is_number(value, 0.0) for value in one) == 1 for one in columns):
             # Each along an axis of its own.
             return 1.0
-        return (volume if fewer else volume * volume) / _product(squares)
+        return (arm.volume if fewer else arm.volume * arm.volume) / _product(squares)
 
     def _put_in(self, moved, start, mass, coupled, force):
         """
@@ -463,7 +503,49 @@ class Equations:
         """Add all accelerations and negative multipliers by key to those that are known."""
         for undo in reversed(self._undo):
             undo(x)
+        for row, other, factor in reversed(self._exchanged):
+            x[other] = x[other] - factor * x[row]
         return x
+
+
+class _Motion(NamedTuple):
+    """The acceleration of a joint: ``start``, less the sum of ``moved`` times those of keys."""
+
+    start: object
+    moved: dict
+    #: What right sides of equations contribute to ``start``, by row.
+    by: dict
+
+
+class _Inverse(NamedTuple):
+    """What equations say of the joints of an arm: ``cofactors`` over ``size``, a row for each."""
+
+    cofactors: tuple
+    rows: tuple
+    #: Across them, where they are fewer or more than the equations.
+    across: tuple
+    volume: object
+    size: object
+    #: Whether so much is taken that its entries are divided; else what is taken, at last.
+    often: bool
+
+    @classmethod
+    def of(cls, columns, axes, count):
+        """Return that of columns of joints, in ``axes``; ``count``: of what is taken from it."""
+        spare = len(columns) > len(columns[0])
+        cofactors, across, volume, size = adjugate(transpose(columns) if spare else columns)
+        rows = [scale(row, 1.0 / size) for row in cofactors]
+        if axes:
+            cofactors, rows = (product(one, transpose(axes)) for one in (cofactors, rows))
+        if spare:
+            cofactors, rows = transpose(cofactors), transpose(rows)
+        return cls(cofactors, rows, across, volume, size, count >= len(columns))
+
+    def taken(self, column):
+        """Return the motion of the joints that the right sides of equations ask for."""
+        if self.often:
+            return times(self.rows, column)
+        return scale(times(self.cofactors, column), 1.0 / self.size)
 
 
 class AlwaysSingularError(ValueError):
@@ -717,8 +799,14 @@ def eliminate(plan, found, turning):
     ``turning``: rows of the tree whose joints turn.
     """
     smallest, spare = 1.0, 1.0
+    together = all(len(joints) >= len(rows) for joints, rows in plan.steps)
+    if together:
+        for joints, rows in plan.steps:
+            found.require_levers(joints, rows, turning)
+        found.substitute(plan.steps)
     for joints, rows in plan.steps:
-        found.require_levers(joints, rows, turning)
+        if not together:
+            found.require_levers(joints, rows, turning)
         sine = found.eliminate_arm(joints, rows)
         if len(joints) > len(rows):
             # Small only where the loop itself is nearly singular.
