@@ -240,6 +240,7 @@ class MechanismTrace:
         if which in (EVALUATION, MOTION, ACCELERATION, CORRECTION) and (
                 self.method() in IN_JOINTS):
             if self.by_arms and self.arrays is space and self._has_several_arms():
+                # Equal arms are to take equal operations.
                 self.recursion = self.recursion_of(
                     space.bodies(self.constant, self.model.body, arms=True))
             self.recursion.hinges = ()
@@ -356,9 +357,11 @@ class MechanismTrace:
     def method(self):
         """Return the module whose ``accelerate`` is the cheapest."""
         if self.by is None:
-            more = () if self.clusters is None else (clusters,)
-            self.by = shorter(self.constant, (arms, *more) if self.with_arms else (
-                *more, *self._by_multipliers()))
+            ways = (arms,) if self.with_arms else ()
+            ways += () if self.clusters is None else (clusters,)
+            if not self.with_arms or not self._has_several_arms():
+                ways += self._by_multipliers()
+            self.by = shorter(self.constant, ways)
         self.by_arms = self.by is arms or self.by is clusters and clusters.step_aside(
             self.clusters)
         return self.by
