@@ -127,7 +127,8 @@ class Plan:
                 alone.update(rows if not one.between else ())
             columns.update((row, set(support)) for row in rows)
             groups.append(rows)
-        self._choose(list(filter(None, groups)), columns, alone, rows is not None)
+        self._choose(list(filter(None, groups)), columns, alone, {
+            i for cut in recursion.cuts for i in cut.rolling if i not in self.floating})
         joints = {joint for joints, _ in self.steps for joint in joints}
         left = sorted(eliminated - joints, reverse=True)
         left += [_free(of) for joints, of in self.steps if len(joints) > len(of)]
@@ -184,12 +185,12 @@ class Plan:
                 found[body] = components
         return found
 
-    def _choose(self, left, columns, alone, spare):
+    def _choose(self, left, columns, alone, rolling):
         """
         Choose the steps: again and again equations with joints that are in no others.
 
         ``left``: groups of equations; ``columns``: joints of each; ``alone``: those whose joints
-        have levers that never vanish; ``spare``: whether an arm may keep a motion.
+        have levers that never vanish; ``rolling``: of a spherical joint that row which may not.
         """
         def own(group):
             """Return the joints that a group of equations can eliminate."""
@@ -198,15 +199,16 @@ class Plan:
             joints = sorted({joint for row in group for joint in columns[row]} - others)[::-1]
             if len(group) == 1:
                 return joints[:1] if alone.issuperset(group) else []
-            if len(group) == 2 and spare and len(joints) > 2:
-                return joints[:3]
             if len(group) == 2:
-                # Of three or more only one is never across both equations in vain.
-                return joints if len(joints) <= 2 else joints[:1]
-            if len(group) == _MOST_IN_ONE_LOOP:
-                # All but the first one of a chain, which turns it.
-                return joints[:-1] if len(joints) == len(group) + 1 else []
-            return joints if len(group) == _MOST and 2 <= len(joints) <= 3 else []
+                # Of more than three only one is never across both equations in vain.
+                return joints if len(joints) <= 2 else joints[:3]
+            if len(group) == _MOST and len(joints) <= _MOST:
+                return joints if len(joints) >= 2 else []
+            # All but the first ones, which move it, of a loop and of a chain with a rod.
+            if len(group) == len(joints) - 1 == _MOST_IN_ONE_LOOP:
+                return joints[:-1]
+            moving = [joint for joint in joints if joint not in rolling]
+            return moving[:_MOST] if len(joints) > len(moving) >= len(group) == _MOST else []
 
         self.steps, over = [], set()
         while any(map(own, left)):

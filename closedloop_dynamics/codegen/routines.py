@@ -23,6 +23,7 @@ from .function_table import (
 from .linear_map import divided
 from .machine_code import machine_code, PACKED
 from .rows import by_column, columns_of, matrix, six
+from .scheduling import longest_chain
 from .vectors import add, in_space, times, transpose
 from .workspace import zeros_like_workspace
 from ..engine import native
@@ -58,9 +59,10 @@ RECORDED = 2
 # Place of the mechanism's size behind Baumgarte's rate among the settings of a system.
 _SIZE = 4
 _addresses, sizes = {}, {}
-# Operations by topology and method, of which the shortest is taken; methods by multipliers; rows
-# of the tree up to which all are traced; methods that work on the equations of motion.
-operations_by_method, BY_JOINTS, MOST_ROWS = {}, (forward_dynamics, joint_space), 20
+# Operations and cycles of the longest chain by topology and method, of which the fastest is taken;
+# methods by multipliers; rows of the tree up to which all are traced; arms up to which these are
+# traced, too; methods that work on the equations of motion.
+costs_by_method, BY_JOINTS, MOST_ROWS, FEW_ARMS = {}, (forward_dynamics, joint_space), 20, 2
 IN_JOINTS = arms, clusters, joint_space
 # Methods that may step aside.
 BY_ARMS = arms, clusters
@@ -143,8 +145,8 @@ def operations(model, most=math.inf):
     """
     trace = MechanismTrace(model, most=most)
     method = trace.method()
-    return operations_by_method.get(topology(model), {}).get(method) or count_operations(
-        trace.traced(MOTION))
+    counted = costs_by_method.get(topology(model), {}).get(method)
+    return count_operations(trace.traced(MOTION)) if counted is None else counted[0]
 
 
 def count_operations(routine):
@@ -156,19 +158,20 @@ def count_operations(routine):
 
 def shorter(model, ways=BY_JOINTS):
     """
-    Return the one of several modules by which an evaluation takes the fewest operations.
+    Return the one of several modules by which an evaluation takes the least time.
 
     The first one of large mechanisms, where tracing takes long, and in the plane: the operations
     are as many, and articulated bodies leave exact zeros.
     """
     if len(ways) == 1 or len(model.tree) > MOST_ROWS or not space.is_spatial(model):
         return ways[0]
-    counts = operations_by_method.setdefault(topology(model), {})
+    costs = costs_by_method.setdefault(topology(model), {})
     for by in ways:
-        if by not in counts:
-            counts[by] = count_operations(MechanismTrace(
-                model, with_arms=by in BY_ARMS, by=by).traced(MOTION))
-    return min(ways, key=counts.get)
+        if by not in costs:
+            routine = MechanismTrace(model, with_arms=by in BY_ARMS, by=by).traced(MOTION)
+            costs[by] = count_operations(routine), longest_chain(routine)
+    # A cycle of the longest chain takes as long as another operation: measured.
+    return min(ways, key=lambda by: sum(costs[by]))
 
 
 class MechanismTrace:
@@ -239,7 +242,7 @@ class MechanismTrace:
         self.by_arms = False
         if which in (EVALUATION, MOTION, ACCELERATION, CORRECTION) and (
                 self.method() in IN_JOINTS):
-            if self.by_arms and self.arrays is space and self._has_several_arms():
+            if self.by_arms and self.arrays is space and self._has_many_arms():
                 # Equal arms are to take equal operations.
                 self.recursion = self.recursion_of(
                     space.bodies(self.constant, self.model.body, arms=True))
@@ -359,16 +362,16 @@ class MechanismTrace:
         if self.by is None:
             ways = (arms,) if self.with_arms else ()
             ways += () if self.clusters is None else (clusters,)
-            if not self.with_arms or not self._has_several_arms():
+            if not (self.with_arms and self._has_many_arms()):
                 ways += self._by_multipliers()
             self.by = shorter(self.constant, ways)
         self.by_arms = self.by is arms or self.by is clusters and clusters.step_aside(
             self.clusters)
         return self.by
 
-    def _has_several_arms(self):
+    def _has_many_arms(self):
         plan = arms.Plan.of(self.recursion, self.constant)
-        return plan is None or len(plan.steps) > 1
+        return plan is None or len(plan.steps) > FEW_ARMS
 
     def embeds(self):
         """Return whether loops close on bodies: they are eliminated there."""

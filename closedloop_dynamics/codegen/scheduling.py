@@ -32,6 +32,16 @@ _REGISTERS, _COMPARED = 28, 64
 MOST = 2000
 
 
+def longest_chain(routine):
+    """Return the cycles of those operations of a routine that wait for one another longest."""
+    operations, until = routine.graph.operations, {}
+    for place in sorted(routine.needed()):
+        kind, *operands = operations[place]
+        until[place] = 0 if kind == LOAD else _LATENCY.get(kind, _OTHERS) + max(
+            (until[one] for one in operands if isinstance(one, int)), default=0)
+    return max(until.values(), default=0)
+
+
 def by_urgency(operations, groups, known):
     """
     Order operations.

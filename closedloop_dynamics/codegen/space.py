@@ -166,7 +166,23 @@ def is_spatial(model):
 
 def structure(model):
     """Return the structural data of code for a mechanism in space, beside its topology."""
-    return body_structure(model), _cut_structure(model), *coupling_law.structure(model)
+    return (body_structure(model), _cut_structure(model), _rolling(model),
+            *coupling_law.structure(model))
+
+
+def _rolling(model):
+    """
+    Return the rows of spherical joints that turn the places of cut joints on their bodies least.
+
+    Shape (number of cuts, 2), of both bodies of each; 0 where one is on no spherical joint.
+    """
+    found = np.zeros((len(model.cut), 2), dtype=int)
+    for n, (body, place) in enumerate(((BODY_A, POINT_A), (BODY_B, POINT_B))):
+        rows = model.cut[:, body]
+        ball = model.tree[rows, TYPE] == BALL
+        axis = np.abs(model.cut_point[:, place:place + 3]).argmax(axis=1)
+        found[ball, n] = (rows - Z + axis)[ball]
+    return found
 
 
 def _cut_structure(model):
@@ -328,7 +344,8 @@ def cuts(model, symbols):
     for alike in alike_cuts(model, list(sisters(model))):
         points = pattern[alike, :TURNED_A]
         pattern[alike, :TURNED_A] = np.where(np.isnan(points).any(axis=0), np.nan, points)
-    for cut, values, fixed, row in zip(model.cut, model.cut_point, pattern, symbols):
+    for cut, values, fixed, row, rolling in zip(
+            model.cut, model.cut_point, pattern, symbols, _rolling(model).tolist()):
         row = _known(fixed, row)
         _, along, perpendicular = HELD[cut[CUT_TYPE]]
         found.append(Cut(
@@ -343,7 +360,7 @@ def cuts(model, symbols):
             law=coupling_law.law_of(cut, values, row),
             motion=prescribed(cut, row), between=cut[CUT_TYPE] >= PRESCRIBED_PLACE,
             turns=cut[CUT_TYPE] in (PRESCRIBED_TURN, COUPLED_TURN),
-            carried=is_carried(model, cut)))
+            carried=is_carried(model, cut), rolling=tuple(filter(None, rolling))))
     return found
 
 

@@ -94,6 +94,8 @@ class Cut(NamedTuple):
     turns: bool = False
     #: Whether it is as ``space.is_carried`` says.
     carried: bool = False
+    #: Rows of spherical joints that turn its places least (tuple of int).
+    rolling: tuple = ()
 
     def left(self, equations):
         """Return which of all equations the elimination works on."""

@@ -21,6 +21,8 @@ from ..reference.numbers import Numbers
 # Arms of two links, links between others, gears; legs of three joints, rods in parallelograms.
 PLANAR = 'three_rrr', 'carpet_scraper', 'excavator_arm', 'planetary_gear', 'geared_five_bar'
 SPATIAL = 'stewart_platform', 'delta_robot'
+# Loops of more joints than their equations take.
+LOOPS = 'bricard', 'rssr_four_bar', 'double_wishbone'
 # Rows of the tree that bring an arm to a singular position of its own, and where: a leg stretched
 # and folded, a leg and a rod along the first axis of their universal joints.
 SINGULAR = [('three_rrr', 2, 0.0), ('three_rrr', 2, np.pi), ('stewart_platform', 2, 0.5 * np.pi),
@@ -58,7 +60,7 @@ def test_all_legs_go_side_by_side(name):
     assert name != 'delta_robot' or 3 * lanes_of.count(3) > 0.15 * len(routine.needed())
 
 
-@pytest.mark.parametrize('name', PLANAR + SPATIAL + ('bricard',))
+@pytest.mark.parametrize('name', PLANAR + SPATIAL + LOOPS)
 def test_arms_give_the_motion_of_the_elimination_of_multipliers(name):
     for seed in range(3):
         state = drawn(name, seed)
@@ -109,10 +111,11 @@ def test_next_to_a_singular_arm_results_are_right_or_not_used(which, name, row, 
     assert used[0] and not any(used[2:])
 
 
-def test_far_from_where_a_loop_of_four_equations_closes_results_are_right_or_not_used():
+@pytest.mark.parametrize('name', LOOPS)
+def test_far_from_where_loops_close_results_are_right_or_not_used(name):
     used = []
     for seed in range(40):
-        state = drawn('bricard', seed, spread=3.0)
+        state = drawn(name, seed, spread=3.0)
         qdd, lam, good = evaluated(*state)
         used.append(good)
         if good:
@@ -156,6 +159,8 @@ def test_arms_are_found_by_structure():
     assert len(rows_of_arms('four_bar').steps) == 1 and rows_of_arms('bennett') is None
     # All but the first joint of a loop whose shape makes two of its equations superfluous.
     assert [joints for joints, _ in rows_of_arms('bricard').steps] == [[5, 4, 3, 2]]
+    # Of the rod's spherical joint not the row about which it turns most.
+    assert [joints for joints, _ in rows_of_arms('rssr_four_bar').steps] == [[5, 4, 3]]
 
 
 @pytest.mark.parametrize('name', ['three_rrr', 'stewart_platform'])

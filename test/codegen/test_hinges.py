@@ -127,5 +127,5 @@ def test_they_cost_what_a_spherical_joint_costs(monkeypatch):
     assert hinges - balls < 2 * 100
     monkeypatch.setattr(space, 'hinges', lambda *_: ())
     # Operations by each method are counted once.
-    monkeypatch.setattr(routines, 'operations_by_method', {})
+    monkeypatch.setattr(routines, 'costs_by_method', {})
     assert count_operations(leg()) - balls > 2 * 200
