@@ -10,6 +10,7 @@
 #include <limits>
 
 #include "least_squares.hpp"
+#include "scratch.hpp"
 
 namespace closedloop
 {
@@ -32,6 +33,8 @@ constexpr double NO_INERTIA = 1e-14;
 constexpr double CLEAR = 1e-3;
 // Singular values below this times the largest belong to redundant equations.
 constexpr double REPEATED = 1e-9;
+// Numbers that fit on the stack.
+constexpr Index NUMBERS = 64;
 
 /// Components of a solution along the singular vectors of J, and the equations that are used.
 template<int Most>
@@ -141,11 +144,6 @@ void make_least(
   lam -= idle * share;
 }
 
-double length(const double * place, Index size)
-{
-  return Eigen::Map<const Eigen::VectorXd>(place, size).norm();
-}
-
 /// Longest distance of two joints on one body of a cut joint's loop; 0 where there is none.
 double loop_size(const Model & model, Index a)
 {
@@ -159,21 +157,25 @@ double loop_size(const Model & model, Index a)
   point_a += planar ? static_cast<Index>(plane::A_X) : static_cast<Index>(space::POINT_A);
   point_b += planar ? static_cast<Index>(plane::B_X) : static_cast<Index>(space::POINT_B);
   Index i = cut(a, cut::BODY_A), k = cut(a, cut::BODY_B);
-  double longest = 0.0;
+  double longest = 0.0, square = 0.0;
   // Inwards to the body that carries both; a parent has a smaller number than its children.
   while (i != k) {
     Index & outer = i > k ? i : k;
     const double * & point = i > k ? point_a : point_b;
-    longest = std::max(longest, length(point, size));
+    square = 0.0;
+    for (Index n = 0; n < size; ++n) {
+      square += point[n] * point[n];
+    }
+    longest = std::max(longest, square);
     point = model.body.row(outer) + (
       planar ? static_cast<Index>(plane::JOINT_X) : static_cast<Index>(space::PLACE));
     outer = model.tree(outer, tree::PARENT);
   }
-  double square = 0.0;
+  square = 0.0;
   for (Index n = 0; n < size; ++n) {
     square += (point_a[n] - point_b[n]) * (point_a[n] - point_b[n]);
   }
-  return std::max(longest, std::sqrt(square));
+  return std::sqrt(std::max(longest, square));
 }
 
 double largest_loop(const Model & model)
@@ -261,65 +263,65 @@ void loop_units(const Model & model, Indices places, Table jac, Values rows, Val
 void scales(const Model & model, Table jac, Values row_scale, Values column_scale)
 {
   const Indexes & tree = model.tree, & cut = model.cut;
-  // The coordinates in the equations of a cut joint are those of its path.
-  const auto for_each_on_path = [&model, &tree, &cut](Index a, auto && visit) {
-      for (Index entry = cut(a, cut::PATH_A); entry < cut(a, cut::PATH_END); ++entry) {
-        const Index body = model.path_body[entry];
-        visit(tree(body, tree::DOF), tree(body, tree::TYPE));
-      }
-    };
   // Their inverses in the end.
   const Values & lever = column_scale;
   lever.fill(0.0);
   row_scale.fill(1.0);
+  // The largest entries of the coordinates on a cut joint's path in its equations of lengths.
+  Scratch<double, NUMBERS> scratch(model.path_body.size);
+  const Values largest_on = scratch.take(model.path_body.size);
   const double largest = largest_loop(model);
   double longest = 0.0;
   for (Index a = 0; a < cut.rows; ++a) {
     const Index first = cut(a, cut::CUT_ROW), last = first + cut(a, cut::LENGTHS);
+    const Index begin = cut(a, cut::PATH_A), end = cut(a, cut::PATH_END);
     double here = 0.0;
-    for_each_on_path(a, [&](Index j, Index type) {
-        for (Index i = first; type != tree::PRISMATIC && i < last; ++i) {
-          here = std::max(here, std::abs(jac(i, j)));
-        }
-      });
+    for (Index entry = begin; entry < end; ++entry) {
+      const Index body = model.path_body[entry], j = tree(body, tree::DOF);
+      double most = 0.0;
+      for (Index i = first; i < last; ++i) {
+        most = std::max(most, std::abs(jac(i, j)));
+      }
+      largest_on[entry] = most;
+      here = tree(body, tree::TYPE) == tree::PRISMATIC ? here : std::max(here, most);
+    }
     if (!(here > SHORTEST * largest)) {
       // Only then it can be less than that of its own loop.
       here = std::max(here, SHORTEST * loop_size(model, a, largest));
     }
     longest = std::max(longest, here);
-    for_each_on_path(a, [&](Index j, Index) {
-        for (Index i = first; i < last; ++i) {
-          if (std::abs(jac(i, j)) > NOTHING * here) {
-            lever[j] = std::max(lever[j], here);
-          }
-        }
-      });
-  }
-  for (Index body = 1; body < tree.rows; ++body) {
-    const Index j = tree(body, tree::DOF);
-    if (tree(body, tree::TYPE) == tree::PRISMATIC) {
-      lever[j] = 1.0;
-    } else if (lever[j] == 0.0) {
-      lever[j] = longest > 0.0 ? longest : 1.0;
-    }
-  }
-  for (double & scale : column_scale) {
-    scale = 1.0 / scale;
-  }
-  for (Index a = 0; a < cut.rows; ++a) {
-    const Index first = cut(a, cut::CUT_ROW), together = cut(a, cut::LENGTHS);
-    const Index ends[3] = {first, first + together, first + cut(a, cut::ROWS)};
-    for (int group = 0; group < 2; ++group) {
-      double most = 0.0;
-      for_each_on_path(a, [&](Index j, Index) {
-          for (Index i = ends[group]; i < ends[group + 1]; ++i) {
-            most = std::max(most, std::abs(jac(i, j)) * column_scale[j]);
-          }
-        });
-      for (Index i = ends[group]; i < ends[group + 1]; ++i) {
-        row_scale[i] = most > NOTHING ? 1.0 / most : 1.0;
+    for (Index entry = begin; entry < end; ++entry) {
+      if (largest_on[entry] > NOTHING * here) {
+        double & each = lever[tree(model.path_body[entry], tree::DOF)];
+        each = std::max(each, here);
       }
     }
+  }
+  for (Index body = 1; body < tree.rows; ++body) {
+    double & each = lever[tree(body, tree::DOF)];
+    if (tree(body, tree::TYPE) == tree::PRISMATIC) {
+      each = 1.0;
+    } else if (each == 0.0) {
+      each = longest > 0.0 ? longest : 1.0;
+    }
+    each = 1.0 / each;
+  }
+  for (Index a = 0; a < cut.rows; ++a) {
+    const Index first = cut(a, cut::CUT_ROW), turns = first + cut(a, cut::LENGTHS);
+    const Index last = first + cut(a, cut::ROWS);
+    double most = 0.0, most_of_turns = 0.0;
+    for (Index entry = cut(a, cut::PATH_A); entry < cut(a, cut::PATH_END); ++entry) {
+      const Index j = tree(model.path_body[entry], tree::DOF);
+      most = std::max(most, largest_on[entry] * column_scale[j]);
+      for (Index i = turns; i < last; ++i) {
+        most_of_turns = std::max(most_of_turns, std::abs(jac(i, j)) * column_scale[j]);
+      }
+    }
+    const auto scale_rows = [&row_scale](Index begin, Index end, double size) {
+        std::fill(row_scale.data + begin, row_scale.data + end, size > NOTHING ? 1.0 / size : 1.0);
+      };
+    scale_rows(first, turns, most);
+    scale_rows(turns, last, most_of_turns);
   }
 }
 
