@@ -143,12 +143,15 @@ void wrenches_of_cut(const Model & model, Table body, Values lam, Values share, 
 {
   const Indexes & cut = model.cut;
   // Generated code computes all equations of a cut joint: multipliers of omitted ones are zero.
-  double multiplier[6];
-  const double * next = lam.data + cut(a, cut::CUT_ROW);
-  double * last = multiplier;
-  for (Index n = 0; n < 6; ++n) {
-    if ((cut(a, cut::POSSIBLE) >> n & 1) != 0) {
-      *last++ = (cut(a, cut::KEPT) >> n & 1) != 0 ? *next++ : 0.0;
+  double with_zeros[6];
+  double * multiplier = lam.data + cut(a, cut::CUT_ROW);
+  if (cut(a, cut::KEPT) != cut(a, cut::POSSIBLE)) {
+    const double * next = multiplier;
+    double * last = multiplier = with_zeros;
+    for (Index n = 0; n < 6; ++n) {
+      if ((cut(a, cut::POSSIBLE) >> n & 1) != 0) {
+        *last++ = (cut(a, cut::KEPT) >> n & 1) != 0 ? *next++ : 0.0;
+      }
     }
   }
   call_joint_kernel(
