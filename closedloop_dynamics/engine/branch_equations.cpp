@@ -39,13 +39,13 @@ Index find(Indices root, Index j)
 
 BranchEquations::BranchEquations(const System & from)
 : scratch_(
-    PLACES * (from.lam.size * (from.qdd.size + from.lam.size + 4) + 2 * from.qdd.size + from.nq()) +
-    from.lam.size * (from.qdd.size + 2) + from.qdd.size),
+    PLACES * (from.lam.size * (from.qdd.size + from.lam.size + 3) + 2 * from.qdd.size + from.nq()) +
+    from.lam.size * (from.qdd.size + 2) + 2 * from.qdd.size),
   counts_(2 * from.lam.size + 2 * from.qdd.size), parts_(from.lam.size), system(from),
   nv(from.qdd.size), nc(from.lam.size), row_scale(scratch_.take(nc)),
-  column_scale(scratch_.take(nv)), place(take(from.nq())), rate(take(nv)),
+  column_scale(scratch_.take(nv)), lever(scratch_.take(nv)), place(take(from.nq())), rate(take(nv)),
   components(parts_.take(nc)), jac_(take(nc, nv)), factor_(take(nc, nc)), closure_(take(nc)),
-  bias_(take(nc)), right_(take(nc)), local_(take(nc)), change_(take(nv)),
+  bias_(take(nc)), right_(take(nc)), change_(take(nv)),
   first_(scratch_.take(nc, nv)), pivot_scale_(scratch_.take(nc)), row_(counts_.take(nc)),
   order_(counts_.take(nv)), pivot_row_(counts_.take(nc)), column_(counts_.take(nv))
 {
@@ -104,6 +104,17 @@ void BranchEquations::evaluate(LaneValues q, LaneValues rates, Index count)
   }
 }
 
+void BranchEquations::shift(LaneValues q, LaneValues change) const
+{
+  if (!system.manifold.empty()) {
+    move(system.manifold, numbers(q), numbers(change), 1.0, PLACES);
+    return;
+  }
+  for (Index i = 0; i < q.size; ++i) {
+    q[i] += change[i];
+  }
+}
+
 void BranchEquations::evaluate_motion(
   Values q, Values rates, Table added, Table gim, Values force)
 {
@@ -135,6 +146,9 @@ bool BranchEquations::find_components()
   }
   scales(model, first_, row_scale, column_scale);
   for (Index j = 0; j < nv; ++j) {
+    lever[j] = 1.0 / column_scale[j];
+  }
+  for (Index j = 0; j < nv; ++j) {
     root[j] = j;
   }
   // The equations of a cut joint, and all coordinates in them, form one group.
@@ -143,11 +157,11 @@ bool BranchEquations::find_components()
     Index group = -1;
     for (Index n = cut(a, cut::PATH_A); n < cut(a, cut::PATH_END); ++n) {
       const Index j = tree(model.path_body[n], tree::DOF);
-      bool occurs = false;
-      for (Index i = begin; i < end; ++i) {
-        occurs = occurs || std::abs(entry(i, j)) > FOREIGN;
+      Index i = begin;
+      while (i < end && !(std::abs(entry(i, j)) > FOREIGN)) {
+        ++i;
       }
-      if (occurs) {
+      if (i < end) {
         group = group < 0 ? find(root, j) : group;
         root[find(root, j)] = group;
       }
@@ -157,16 +171,22 @@ bool BranchEquations::find_components()
     }
     std::fill(pivot_row_.data + begin, pivot_row_.data + end, group);
   }
+  for (Index & each : root) {
+    each = find(root, each);
+  }
+  for (Index & each : pivot_row_) {
+    each = root[each];
+  }
   Index rows = 0, columns = 0, count = 0;
   for (Index first = 0; first < nv && rows < nc; ++first) {
-    if (find(root, first) != first) {
+    if (root[first] != first) {
       continue;
     }
     Component part;
     part.row = rows;
     part.column = columns;
     for (Index i = 0; i < nc; ++i) {
-      if (find(root, pivot_row_[i]) == first) {
+      if (pivot_row_[i] == first) {
         row_[rows++] = i;
       }
     }
@@ -175,7 +195,7 @@ bool BranchEquations::find_components()
       continue;
     }
     for (Index j = 0; j < nv; ++j) {
-      if (find(root, j) == first) {
+      if (root[j] == first) {
         order_[columns++] = j;
       }
     }
@@ -267,14 +287,14 @@ bool BranchEquations::is_isolated(const Component & part)
 
 void BranchEquations::factor(const Component & part)
 {
-  const LaneTable matrix = square(part);
-  for (Index i = 0; i < part.rows; ++i) {
-    const Lanes * from = jac_.row(row(part, i));
-    for (Index k = 0; k < part.rows; ++k) {
-      matrix(i, k) = from[column(part, k)];
-    }
-  }
-  factorize_in_place(matrix);
+  with_rows(part.rows, [&](auto n) {
+      Lanes * const matrix = factor_.data;
+      for_each_row(n, [&](auto i) {
+        const Lanes * from = jac_.row(row(part, i));
+        for_each_row(n, [&](auto k) {matrix[i * n + k] = from[column(part, k)];});
+      });
+      factorize_in_place(n, matrix);
+    });
 }
 
 Lanes BranchEquations::smallest_pivot(const Component & part) const
@@ -296,8 +316,10 @@ Index BranchEquations::factor_fully(
 {
   out = {first_.data, part.rows, part.columns};
   for (Index i = 0; i < part.rows; ++i) {
+    const Lanes * from = jac_.row(row(part, i));
     for (Index k = 0; k < part.columns; ++k) {
-      out(i, k) = entry(row(part, i), column(part, k));
+      const Index j = column(part, k);
+      out(i, k) = from[j][0] * row_scale[row(part, i)] * column_scale[j];
     }
   }
   return factorize_fully(out, rows, columns, share);
@@ -305,25 +327,20 @@ Index BranchEquations::factor_fully(
 
 void BranchEquations::solve(const Component & part, LaneValues out)
 {
-  const LaneValues local = local_.part(0, part.rows);
-  for (Index i = 0; i < part.rows; ++i) {
-    local[i] = right_[row(part, i)];
-  }
-  solve_in_place(square(part), local);
+  solve_in_place(square(part), right_);
   for (Index k = 0; k < part.rows; ++k) {
-    out[column(part, k)] = local[k];
+    out[column(part, k)] = right_[k];
   }
 }
 
 void BranchEquations::solve_transposed(const Component & part, Values force, Values out)
 {
-  const LaneValues local = local_.part(0, part.rows);
   for (Index k = 0; k < part.rows; ++k) {
-    local[k] = Lanes::of(force[column(part, k)]);
+    right_[k] = Lanes::of(force[column(part, k)]);
   }
-  closedloop::solve_transposed(square(part), local);
+  closedloop::solve_transposed(square(part), right_);
   for (Index i = 0; i < part.rows; ++i) {
-    out[row(part, i)] = local[i][0];
+    out[row(part, i)] = right_[i][0];
   }
 }
 
@@ -336,7 +353,7 @@ bool BranchEquations::settle(const Component & part, LaneValues q, LaneValues ra
     for (Index i = 0; i < part.rows; ++i) {
       const Lanes each = closure_[row(part, i)];
       error = larger(size_of(each), error);
-      right_[row(part, i)] = -each;
+      right_[i] = -each;
     }
     // Places that are on the branch do not keep others from going there.
     const Lanes left = smaller(error - Lanes::of(ROUNDING * size), 0.5 * before - error);
@@ -345,9 +362,16 @@ bool BranchEquations::settle(const Component & part, LaneValues q, LaneValues ra
       return largest(error) <= SETTLED * size;
     }
     before = error;
-    change_.fill(Lanes::of(0.0));
-    solve(part, change_);
-    move(system.manifold, numbers(q), numbers(change_), 1.0, PLACES);
+    if (system.manifold.empty()) {
+      solve(part, change_);
+      for (Index k = 0; k < part.rows; ++k) {
+        q[column(part, k)] += change_[column(part, k)];
+      }
+    } else {
+      change_.fill(Lanes::of(0.0));
+      solve(part, change_);
+      shift(q, change_);
+    }
     evaluate(q, rates);
   }
 }
@@ -364,7 +388,7 @@ void BranchEquations::follow(
       total += each;
       squares += each * each;
     }
-    right_[equation] = -total;
+    right_[i] = -total;
     most = std::max(most, largest(total * total - ROUNDING * ROUNDING * squares));
   }
   // On straight paths the rates that have been evaluated are those along the branch.
@@ -381,7 +405,7 @@ void BranchEquations::follow(
 void BranchEquations::find_path_acceleration(const Component & part, LaneValues out)
 {
   for (Index i = 0; i < part.rows; ++i) {
-    right_[row(part, i)] = -bias_[row(part, i)];
+    right_[i] = -bias_[row(part, i)];
   }
   solve(part, out);
 }
@@ -391,7 +415,7 @@ void BranchEquations::add_tangents(const Component & part, Table out, Lanes shar
   for (Index k = 0; k < part.moving; ++k) {
     const Index j = independent(part, k);
     for (Index i = 0; i < part.rows; ++i) {
-      right_[row(part, i)] = -jac_(row(part, i), j);
+      right_[i] = -jac_(row(part, i), j);
     }
     solve(part, change_);
     for (Index m = 0; m < part.rows; ++m) {

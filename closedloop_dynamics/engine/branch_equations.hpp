@@ -48,6 +48,8 @@ public:
   void evaluate(LaneValues q, LaneValues rates, Index count = PLACES);
   /// The same at a state, which is kept in `place` and `rate`.
   void evaluate(Values q, Values rates);
+  /// Move places by changes of the coordinates.
+  void shift(LaneValues q, LaneValues change) const;
   /// Evaluate the inertia matrix of the trees, and what of the forces in joints accelerates them;
   /// `added`, shape (bodies, components): forces on the bodies beside those of their motion.
   void evaluate_motion(Values q, Values rates, Table added, Table gim, Values force);
@@ -70,7 +72,8 @@ public:
   /// The same by all coordinates, with complete pivoting, down to a share of the first pivot; return
   /// the rank and the factors.
   Index factor_fully(const Component &, double share, Indices rows, Indices columns, Table & out);
-  /// Changes of the dependent coordinates that change the equations by `right`.
+  /// Changes of the dependent coordinates that change the component's equations by `right_`, which
+  /// is overwritten.
   void solve(const Component &, LaneValues out);
   /// Multipliers of the equations, shape (nc,), that give the dependent coordinates these forces.
   void solve_transposed(const Component &, Values force, Values out);
@@ -111,13 +114,13 @@ private:
 public:
   const System & system;
   const Index nv, nc;
-  const Values row_scale, column_scale;
+  const Values row_scale, column_scale, lever;  ///< The last is one over the second
   const LaneValues place, rate;
   Vector<Component> components;
 
 private:
   const LaneTable jac_, factor_;
-  const LaneValues closure_, bias_, right_, local_, change_;
+  const LaneValues closure_, bias_, right_, change_;
   const Table first_;
   const Values pivot_scale_;
   // Equations and coordinates, component by component; scratch.

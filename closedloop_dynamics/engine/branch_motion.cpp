@@ -98,7 +98,9 @@ Index find_multipliers(
     const JointPlaces joints = system.whole.empty() ? system.joints : JointPlaces();
     place_bodies(system, point.q, point.rate);
     if (joints.body.rows > 0) {
-      add_forces(work, added);
+      if (system.has_effects()) {
+        add_forces(work, added);
+      }
       bias_forces(work, work.force);
       joint_wrenches(model, work, system.qdd, system.lam, work.force);
     }
@@ -134,20 +136,22 @@ bool accelerate_along(
     }
   }
   equations.evaluate_motion(point.q, point.rate, added, gim, force);
-  // Those of the constraints.
-  for (Index i = 0; i < nv; ++i) {
-    force[i] = dot(gim[i], point.path_acceleration) - force[i];
-  }
-  for (Index k = 0; k < freedoms; ++k) {
-    const Values tangent = point.tangent[independent[k]];
-    push[k] = -dot(tangent, force);
-    for (Index i = 0; i < nv; ++i) {
-      carried(k, i) = dot(gim[i], tangent);
-    }
-    for (Index m = 0; m <= k; ++m) {
-      inertia(k, m) = dot(point.tangent[independent[m]], carried[k]);
-    }
-  }
+  with_rows(nv, [&](auto count) {
+      // Those of the constraints.
+      for (Index i = 0; i < nv; ++i) {
+        force[i] = dot(count, gim[i], point.path_acceleration) - force[i];
+      }
+      for (Index k = 0; k < freedoms; ++k) {
+        const Values tangent = point.tangent[independent[k]];
+        push[k] = -dot(count, tangent, force);
+        for (Index i = 0; i < nv; ++i) {
+          carried(k, i) = dot(count, gim[i], tangent);
+        }
+        for (Index m = 0; m <= k; ++m) {
+          inertia(k, m) = dot(count, point.tangent[independent[m]], carried[k]);
+        }
+      }
+    });
   if (!factorize_positive(inertia)) {
     return false;
   }

@@ -6,7 +6,6 @@
 #include <algorithm>
 #include <cmath>
 
-#include "manifold.hpp"
 #include "scratch.hpp"
 
 namespace closedloop
@@ -72,7 +71,8 @@ public:
   /// Interpolate a component's position, rates, accelerations and tangents at the state.
   bool interpolate(Component & part)
   {
-    return find_first(part) && find_others(part) && interpolate_state(part) &&
+    return find_first(part) && find_others(part) &&
+           (part.moving == 1 ? interpolate_state<true>(part) : interpolate_state<false>(part)) &&
            finish_tangents(part);
   }
 
@@ -89,8 +89,10 @@ private:
   void go_straight(const Component & part)
   {
     const Places & at = places_[0];
-    at.rates.fill(Lanes::of(0.0));
-    change_.fill(Lanes::of(0.0));
+    if (part.columns < qd_.size) {
+      at.rates.fill(Lanes::of(0.0));
+      change_.fill(Lanes::of(0.0));
+    }
     for (Index k = 0; k < part.columns; ++k) {
       const Index j = equations_.column(part, k);
       at.rates[j] = Lanes::of(step_ * qd_[j]);
@@ -99,7 +101,7 @@ private:
     for (Index i = 0; i < q_.size; ++i) {
       at.q[i] = Lanes::of(q_[i]);
     }
-    move(system_.manifold, numbers(at.q), numbers(change_), 1.0, PLACES);
+    equations_.shift(at.q, change_);
     equations_.evaluate(at.q, at.rates);
   }
 
@@ -109,7 +111,7 @@ private:
     double fastest = 0.0, longest = 0.0;
     for (Index k = 0; k < part.columns; ++k) {
       const Index j = equations_.column(part, k);
-      const double lever = 1.0 / equations_.column_scale[j];
+      const double lever = equations_.lever[j];
       fastest = std::max(fastest, std::abs(qd_[j]) * lever);
       longest = std::max(longest, lever);
     }
@@ -119,14 +121,12 @@ private:
     if (!(step_ < SLOPED_ASIDE * RESTING * aside)) {
       return false;
     }
-    const Places & at = places_[0];
     for (int attempt = 0; ; ++attempt) {
       go_straight(part);
       // Pivots that are not rounding are in one order at the state and here.
       const bool chosen = (attempt == 0 && part.pivot > 0.0) ||
         equations_.choose(part, LEAST) > 0.0;
-      const double pivot = chosen && equations_.settle(part, at.q, at.rates) ?
-        equations_.smallest_pivot(part)[0] : 0.0;
+      const double pivot = chosen && settle(part, 0) ? pivots_[0] : 0.0;
       if (pivot >= ENOUGH || (pivot >= LEAST && attempt > 0)) {
         break;
       }
@@ -150,7 +150,7 @@ private:
       for (Index k = 0; k < part.moving; ++k) {
         tangents_of_fewer_[equations_.independent(part, k)].fill(0.0);
       }
-      if (!equations_.settle(part, at.q, at.rates)) {
+      if (!settle(part, 0)) {
         return false;
       }
     }
@@ -160,28 +160,35 @@ private:
   /// Find the other places, each extrapolated from two.
   bool find_others(const Component & part)
   {
-    count_ = part.moving == 1 ? 1 : 2;
-    if (count_ == 1) {
+    if (part.moving == 1) {
       return true;
     }
     predict(part);
     const Places & at = places_[1];
     equations_.evaluate(at.q, at.rates);
-    return equations_.settle(part, at.q, at.rates) && keep(part, 1);
+    return settle(part, 1) && keep(part, 1);
+  }
+
+  /// Bring places onto the branch, from their evaluation; return whether they are there.
+  bool settle(const Component & part, Index n)
+  {
+    if (!equations_.settle(part, places_[n].q, places_[n].rates)) {
+      return false;
+    }
+    pivots_ = equations_.smallest_pivot(part);
+    return true;
   }
 
   /// Store settled places with rates and accelerations along the branch, and the tangents.
   bool keep(const Component & part, Index n)
   {
-    const Lanes pivot = equations_.smallest_pivot(part);
-    pivot_ = n == 0 ? pivot[0] : pivot_;
+    pivot_ = n == 0 ? pivots_[0] : pivot_;
     for (Index lane = 0; lane < PLACES; ++lane) {
-      if (!(pivot[lane] >= SMALLER * pivot_)) {
+      if (!(pivots_[lane] >= SMALLER * pivot_)) {
         return false;
       }
     }
     const Places & at = places_[n];
-    at.bends.fill(Lanes::of(0.0));
     if (part.moving > 1) {
       equations_.add_tangents(part, point_.tangent, Lanes::at(VALUE + PLACES * n));
       equations_.add_tangents(part, tangents_of_fewer_, Lanes::at(FEWER_VALUES + PLACES * n));
@@ -218,7 +225,7 @@ private:
         Lanes::at(SLOPE_HERE) * farther(from.bends[j]) +
         Lanes::at(SLOPE_BEFORE) * nearer(from.bends[j]);
     }
-    move(system_.manifold, numbers(to.q), numbers(change_), 1.0, PLACES);
+    equations_.shift(to.q, change_);
   }
 
   /// Largest of the kinematically determined coordinates, as lengths.
@@ -227,7 +234,7 @@ private:
     double found = 0.0;
     for (Index k = 0; k < part.rows; ++k) {
       const Index j = equations_.column(part, k);
-      const double size = std::abs(values[j]) / equations_.column_scale[j];
+      const double size = std::abs(values[j]) * equations_.lever[j];
       found = size <= found ? found : size;
     }
     return found;
@@ -235,23 +242,25 @@ private:
 
   /// Interpolate position, rates and accelerations at the state; false where the state is not on
   /// the branch, or where the polynomials disagree.
+  template<bool SLOPED>
   bool interpolate_state(const Component & part)
   {
-    const bool sloped = count_ == 1, whole = system_.manifold.empty();
+    const bool whole = system_.manifold.empty();
+    const double frequency = 1.0 / step_;
     double fastest = 0.0, sharpest = 0.0, longest = 0.0;
     for (Index k = 0; k < part.rows; ++k) {
       const Index j = equations_.column(part, k);
-      const double lever = 1.0 / equations_.column_scale[j];
+      const double lever = equations_.lever[j];
       Lanes place = Lanes::of(0.0), rate = place, second = place, fewer = place;
       Lanes steep = place, sharp = place;
-      for (Index n = 0; n < count_; ++n) {
+      for (Index n = 0; n < (SLOPED ? 1 : 2); ++n) {
         const Lanes along = places_[n].rates[j], across = places_[n].bends[j];
-        const Lanes value = Lanes::at(sloped ? VALUE_BY_SLOPES : VALUE + PLACES * n);
+        const Lanes value = Lanes::at(SLOPED ? VALUE_BY_SLOPES : VALUE + PLACES * n);
         if (whole) {
           place += value * (places_[n].q[j] - Lanes::of(q_[j]));
         }
         rate += value * along;
-        if (sloped) {
+        if constexpr (SLOPED) {
           const Lanes slope = Lanes::at(SLOPE_FOR_VALUE);
           if (whole) {
             place += slope * along;
@@ -273,8 +282,8 @@ private:
       other_[j] = (fewer - second).sum();
       slower_[j] = rate.sum() - step_ * qd_[j];
       point_.q[j] += moved_[j];
-      point_.rate[j] = rate.sum() / step_;
-      point_.path_acceleration[j] = second.sum() / (step_ * step_);
+      point_.rate[j] = frequency * rate.sum();
+      point_.path_acceleration[j] = frequency * frequency * second.sum();
     }
     return most(part, moved_) <= BESIDE * fastest && most(part, slower_) <= OTHER_RATE * fastest &&
            most(part, other_) <= APART * std::max(sharpest, fastest * fastest / longest);
@@ -286,7 +295,8 @@ private:
     if (part.moving == 1) {
       const Index j = equations_.independent(part, 0);
       for (Index m = 0; m < part.rows; ++m) {
-        point_.tangent(j, equations_.column(part, m)) = point_.rate[equations_.column(part, m)] / qd_[j];
+        const Index dependent = equations_.column(part, m);
+        point_.tangent(j, dependent) = point_.rate[dependent] / qd_[j];
       }
       return true;
     }
@@ -296,7 +306,7 @@ private:
       for (Index m = 0; m < part.rows; ++m) {
         fewer[equations_.column(part, m)] -= tangent[equations_.column(part, m)];
       }
-      if (!(most(part, fewer) <= APART * (most(part, tangent) + 1.0 / equations_.column_scale[j]))) {
+      if (!(most(part, fewer) <= APART * (most(part, tangent) + equations_.lever[j]))) {
         return false;
       }
     }
@@ -313,7 +323,7 @@ private:
   const Values moved_, other_, slower_;
   Places places_[2];
   double step_ = 0.0, pivot_ = 0.0;
-  Index count_ = 0;  // Of those that are used
+  Lanes pivots_;  // Smallest ones at the places that were settled last
 };
 }  // namespace
 

@@ -42,12 +42,15 @@ inline Lanes operator*(double a, Lanes b) {return {a * b.low, a * b.high};}
 inline Lanes operator/(double a, Lanes b) {return {a / b.low, a / b.high};}
 inline Lanes size_of(Lanes a)
 {
-  return {a.low < 0.0 ? -a.low : a.low, a.high < 0.0 ? -a.high : a.high};
+  // Without the bits of the signs.
+  typedef long long Bits __attribute__((vector_size(16)));
+  const Bits rest = ~Bits(Lanes::Pair{-0.0, -0.0});
+  return {Lanes::Pair(Bits(a.low) & rest), Lanes::Pair(Bits(a.high) & rest)};
 }
 /// The larger ones; where the first one is not a number, that.
 inline Lanes larger(Lanes a, Lanes b)
 {
-  return {a.low <= b.low ? b.low : a.low, a.high <= b.high ? b.high : a.high};
+  return {a.low < b.low ? b.low : a.low, a.high < b.high ? b.high : a.high};
 }
 inline Lanes smaller(Lanes a, Lanes b)
 {

@@ -28,25 +28,22 @@ inline Index factorize_fully(Table matrix, Indices row, Indices column, double s
   for (Index j = 0; j < columns; ++j) {
     column[j] = j;
   }
-  double first = 0.0, most = -1.0, next = -1.0;
-  Index at = 0;
-  // The row with the largest entry is noted while entries are written.
-  const auto note = [&](Index i, double largest) {
-      if (largest > next) {
-        next = largest;
+  double first = 0.0, most = 0.0;
+  Index at = 0, to = 0;
+  // The largest entry is noted while entries are written.
+  const auto note = [&](Index i, Index j, double value) {
+      if (std::abs(value) > most) {
+        most = std::abs(value);
         at = i;
+        to = j;
       }
     };
   for (Index i = 0; i < rows; ++i) {
-    double largest = 0.0;
     for (Index j = 0; j < columns; ++j) {
-      largest = std::max(largest, std::abs(matrix(i, j)));
+      note(i, j, matrix(i, j));
     }
-    note(i, largest);
   }
   for (Index k = 0; k < rows; ++k) {
-    most = next;
-    next = -1.0;
     first = k == 0 ? most : first;
     if (!(most > share * first)) {
       return k;
@@ -56,26 +53,21 @@ inline Index factorize_fully(Table matrix, Indices row, Indices column, double s
       std::swap_ranges(pivot, pivot + columns, matrix.row(at));
       std::swap(row[k], row[at]);
     }
-    Index to = k;
-    while (to + 1 < columns && std::abs(pivot[to]) != most) {
-      ++to;
-    }
     if (to != k) {
       for (Index i = 0; i < rows; ++i) {
         std::swap(matrix(i, k), matrix(i, to));
       }
       std::swap(column[k], column[to]);
     }
+    most = 0.0;
     const double inverse = 1.0 / pivot[k];
     for (Index i = k + 1; i < rows; ++i) {
       double * other = matrix.row(i);
       const double scale = other[k] *= inverse;
-      double largest = 0.0;
       for (Index j = k + 1; j < columns; ++j) {
         other[j] -= scale * pivot[j];
-        largest = std::max(largest, std::abs(other[j]));
+        note(i, j, other[j]);
       }
-      note(i, largest);
     }
   }
   return rows;
@@ -97,6 +89,8 @@ inline void with_rows(Index rows, Function && function)
       return function(std::integral_constant<Index, 5>());
     case 6:
       return function(std::integral_constant<Index, 6>());
+    case 7:
+      return function(std::integral_constant<Index, 7>());
     default:
       return function(rows);
   }
@@ -168,18 +162,18 @@ inline void for_each_row_back(Rows rows, Function && function)
   }
 }
 
-/// Factor a square matrix in place, its pivots in their places, replaced by their inverses.
-inline void factorize_in_place(LaneTable matrix)
+/// Factor a square matrix of so many rows in place, its pivots in their places, replaced by their
+/// inverses.
+template<class Rows>
+inline void factorize_in_place(Rows n, Lanes * a)
 {
-  with_rows(matrix.rows, [a = matrix.data](auto n) {
-      for_each_row(n, [&](auto k) {
-        const Lanes inverse = 1.0 / a[k * n + k];
-        a[k * n + k] = inverse;
-        for_each_row_after(k, n, [&](auto i) {
-          a[i * n + k] *= inverse;
-          const Lanes scale = a[i * n + k];
-          for_each_row_after(k, n, [&](auto j) {a[i * n + j] -= scale * a[k * n + j];});
-        });
+  for_each_row(n, [&](auto k) {
+      const Lanes inverse = 1.0 / a[k * n + k];
+      a[k * n + k] = inverse;
+      for_each_row_after(k, n, [&](auto i) {
+        a[i * n + k] *= inverse;
+        const Lanes scale = a[i * n + k];
+        for_each_row_after(k, n, [&](auto j) {a[i * n + j] -= scale * a[k * n + j];});
       });
     });
 }
@@ -233,19 +227,32 @@ inline double dot(Values a, Values b)
   return (one + two) + (three + four);
 }
 
-/// Factor a symmetric positive definite matrix in place, lower triangle; false where it is not.
+/// The same of so many numbers.
+template<class Count>
+inline double dot(Count count, Values a, Values b)
+{
+  if constexpr (std::is_same_v<Count, Index>) {
+    return dot(a, b);
+  }
+  double total = 0.0;
+  for_each_row(count, [&](auto n) {total += a.data[n] * b.data[n];});
+  return total;
+}
+
+/// Factor a symmetric positive definite matrix in place, lower triangle, its pivots replaced by their
+/// inverses; false where it is not positive definite.
 inline bool factorize_positive(Table matrix)
 {
-  for (Index i = 0; i < matrix.rows; ++i) {
-    for (Index j = 0; j <= i; ++j) {
-      double total = matrix(i, j);
-      for (Index k = 0; k < j; ++k) {
-        total -= matrix(i, k) * matrix(j, k);
+  for (Index k = 0; k < matrix.rows; ++k) {
+    if (!(matrix(k, k) > 0.0)) {
+      return false;
+    }
+    matrix(k, k) = 1.0 / matrix(k, k);
+    for (Index i = k + 1; i < matrix.rows; ++i) {
+      const double scale = matrix(i, k) * matrix(k, k);
+      for (Index j = k + 1; j <= i; ++j) {
+        matrix(i, j) -= scale * matrix(j, k);
       }
-      if (i == j && !(total > 0.0)) {
-        return false;
-      }
-      matrix(i, j) = i == j ? std::sqrt(total) : total / matrix(j, j);
     }
   }
   return true;
@@ -254,17 +261,15 @@ inline bool factorize_positive(Table matrix)
 /// Solve with these factors in place.
 inline void solve_positive(Table factor, Values right)
 {
-  const Index n = factor.rows;
-  for (Index i = 0; i < n; ++i) {
-    for (Index k = 0; k < i; ++k) {
+  for (Index k = 0; k < factor.rows; ++k) {
+    right[k] *= factor(k, k);
+    for (Index i = k + 1; i < factor.rows; ++i) {
       right[i] -= factor(i, k) * right[k];
     }
-    right[i] /= factor(i, i);
   }
-  for (Index i = n - 1; i >= 0; --i) {
-    right[i] /= factor(i, i);
+  for (Index i = factor.rows - 1; i > 0; --i) {
     for (Index k = 0; k < i; ++k) {
-      right[k] -= factor(i, k) * right[i];
+      right[k] -= factor(k, k) * factor(i, k) * right[i];
     }
   }
 }
