@@ -508,14 +508,12 @@ void evaluate_for(const System & system, Values state, Outputs outputs)
   system.work.health[health::WRITTEN] = 0.0;
   load_effect_states(system, state);
   const Index which = routine_at_once(system, outputs);
-  if (which < 0) {
-    complete(system, q, qd, evaluate_in_parts(system, q, qd, outputs));
-  } else if (call(system.table, which, q, qd)) {
+  if (which >= 0 && call(system.table, which, q, qd)) {
     if (which == routine::RESPONSES) {
       hold_by_responses(system.effects, system.qdd, system.lam);
     }
-  } else if (system.has_effects()) {
-    evaluate(system, q, qd);
+  } else if (which < 0 || system.has_effects()) {
+    complete(system, q, qd, evaluate_in_parts(system, q, qd, outputs));
   } else {
     if (system.table[routine::REFINED_ACCELERATION] != 0) {
       call(system.table, routine::OUTWARD, q, qd);
