@@ -492,7 +492,8 @@ static Index routine_at_once(const System & system, Outputs outputs)
     return -1;
   }
   const bool decays = system.settings->baumgarte_gain != 0.0;
-  Index which = outputs == Outputs::MOTION && !decays ? routine::MOTION : routine::EVALUATION;
+  const bool alone = outputs == Outputs::MOTION && !decays && system.table[routine::MOTION] != 0;
+  Index which = alone ? routine::MOTION : routine::EVALUATION;
   if (system.has_effects()) {
     const Index present = decays ? -1 : prepare_code(system.effects);
     if (present != routine::MOTION) {
