@@ -18,24 +18,20 @@ changes along the loops is what a closing change of all of them adds up to.
 from . import arms, elimination, forward_dynamics
 from .differentiation import differentiated
 from .expression_graph import ExpressionGraph, graph_of, Q, QD, Routine
-from .function_table import CLOSURE, LAM, LANES, QDD, SHARED
+from .function_table import behind, CLOSURE, JACOBIAN, JOINT_FORCE, LAM, LANES, QDD, SHARED
 from .linear_map import divided
 from .routines import zeros
-from .scene_routines import SceneTrace
+from .scene_routines import PLACE_BIAS, SceneTrace
 from .spatial import at_parent, rigid
 from .vectors import add, cross, dot, is_zero, scale, subtract, times, transpose, ZERO
 from ..engine.manifold import manifold_of
 from ..engine.types import (
     BODY_A, BODY_B, COORDINATE, CUT_ROW, DINV, DOF, NO_RESPONSES, PARENT, RHS, ROW, ROWS)
 
-# Outputs: d (J qd) / d (q, qd), in columns of nc numbers; and J, in rows.
-RATE, JACOBIAN = 51, 52
-# Output: wrenches in joints.
-JOINT_FORCE = 55
-# Output, and input: changes of the residuals, in columns lane by lane.
-COLUMN = 60
-# Output: changes of the rates of the effects' states, as those of closure rates.
-FLOW = 61
+# Outputs beside JACOBIAN, J in rows, and JOINT_FORCE, wrenches in joints: d (J qd) / d (q, qd), in
+# columns of nc numbers; changes of the residuals, in columns lane by lane, an input, too; and
+# changes of the rates of the effects' states, as those of closure rates.
+RATE, COLUMN, FLOW = behind(PLACE_BIAS, 3)
 # Half the product of a quaternion x, y, z, w and an axis of the child: place and sign of what each
 # component changes by.
 _TURN = (((3, 1), (2, 1), (1, -1), (0, -1)), ((2, -1), (3, 1), (0, 1), (1, -1)),

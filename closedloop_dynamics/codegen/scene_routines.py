@@ -10,7 +10,7 @@ and constant forces. Their numbers are inputs, like masses and lengths.
 
 from . import forward_dynamics
 from .expression_graph import chosen, LOAD, Routine
-from .function_table import CLOSURE, CORRECTIONS, ENERGY, SIDES, TAU, VALUES
+from .function_table import behind, CLOSURE, CORRECTIONS, ENERGY, SHARED, SIDES, TAU, VALUES
 from .routines import MechanismTrace, zeros
 from .spatial import rigid
 from .vectors import add, cross, dot, in_space, is_zero, scale, subtract, times, ZERO
@@ -19,7 +19,7 @@ from ..engine.types import BALL, COORDINATE, DOF, PARENT, TYPE
 # Inputs and outputs beside those of a function table: numbers of points; places, their rates, and
 # their accelerations where the joint rates stay as they are; power that effects dissipate, and
 # that they bring in.
-POINT, PLACE, PLACE_RATE, POWER, PLACE_BIAS = 54, 62, 63, 64, 65
+POINT, PLACE, PLACE_RATE, POWER, PLACE_BIAS = behind(SHARED, 5)
 
 
 class SceneTrace(MechanismTrace):

@@ -15,23 +15,21 @@ Evaluating Derivatives, 2nd ed. (2008), section 15).
 """
 
 from .arms import AlwaysSingularError
-from .derivatives import DerivativeTrace
+from .derivatives import DerivativeTrace, FLOW
 from .differentiation import differentiated, gradients
 from .expression_graph import ExpressionGraph, graph_of, LOAD, Q, QD, replayed, Routine
-from .function_table import LAM, QDD, SHARED
+from .function_table import behind, LAM, QDD, RESULT, SEED, SHARED
 from .linear_map import divided
 from .routines import zeros
 from .scene_routines import POINT
 from .vectors import cross, in_space, subtract, times, ZERO
 from ..engine.types import CUT_ROW
 
-# Inputs and outputs. Forward: changes of q, qd, tau and parameters in one direction, and what the
-# accelerations, or the corrections, change by, with their multipliers. Reverse: weights of these,
-# not of multipliers, and the gradient by all the former.
-SEED, RESULT = 55, 56
-TABLE_COLUMNS = RESULT + 1
+# SEED and RESULT are, forward, changes of q, qd, tau and parameters in one direction, and what the
+# accelerations, or the corrections, change by, with their multipliers; in reverse, weights of
+# these, not of multipliers, and the gradient by all the former.
 # In the graph alone: a correction and its multipliers, before they are solved for.
-_CORRECTION, _MULTIPLIER = 57, 58
+_CORRECTION, _MULTIPLIER = behind(FLOW, 2)
 # The routines, by their places in the table: of accelerations, of the corrections of positions and
 # of rates, of what corrections are made of, the errors of the closure equations and their rates,
 # and of the wrenches in the joints, cut ones behind those of the tree.
@@ -45,8 +43,6 @@ NAMES = {
 FORWARD = ACCELERATION_FORWARD, POSITION_FORWARD, RATE_FORWARD
 REVERSE = ACCELERATION_REVERSE, POSITION_REVERSE, RATE_REVERSE
 CLOSURE, WRENCH = (CLOSURE_FORWARD,), (WRENCH_FORWARD,)
-# Those that are there in lanes, too.
-LANE_COLUMNS = SHARED + 1
 
 
 class SensitivityTrace(DerivativeTrace):

@@ -87,7 +87,8 @@ CLOSEDLOOP_TYPE(Bound, "Bound")
 /// Counts of objects, by letters of signatures: Q coordinates, V rates, C equations that are worked
 /// on, A all of them, S numbers of a state, L of a whole one, T torques, with those of cut joints, B
 /// rows of bodies and D columns of these at least, W components of a wrench, P of a point, K cut
-/// joints, G their freedoms that anything acts in, Z states of effects, F frictions that may rest.
+/// joints, G their freedoms that anything acts in, Z states of effects, F frictions that may rest, N
+/// places of a table of derivatives of steps.
 inline Index count_of(const Model & model, char letter)
 {
   switch (letter) {
@@ -134,6 +135,7 @@ inline Index count_of(const System & system, char letter)
     case 'T': return system.tau.size;
     case 'E': return system.effects.count();
     case 'Z': return system.effects.states.size;
+    case 'N': return step_routine::STEP_COLUMNS;
     default: return count_of(system.model, letter);
   }
 }

@@ -235,7 +235,7 @@ void Data::link(Indices code)
     "expected addresses of routines by place in the function table");
   // Code of a scene alone has addresses of functions of the engine.
   require(
-    has_effects() || code.size == 0 || code[library::PIECE] == 0,
+    has_effects() || code.size == 0 || code[routine::PIECE] == 0,
     "effects: expected those that the code was generated for, got none");
   table = Array<Indices>(routine::TABLE_COLUMNS);
   closedloop::copy(code, table.part(0, code.size));

@@ -108,7 +108,7 @@ void apply_generated(
   places[TRIALS] = address(table.contacts.trial.row(row));
   if (entries > 0) {
     places[PRESENT] = address(table.code.present.row(row));
-    for (Index which : {library::PIECE, library::NEAREST, library::FURTHEST}) {
+    for (Index which : {PIECE, NEAREST, FURTHEST}) {
       places[which] = library_function(which);
     }
   }

@@ -5,6 +5,7 @@
 
 #include <algorithm>
 
+#include "columns.hpp"
 #include "curve.hpp"
 
 namespace closedloop
@@ -69,8 +70,8 @@ double furthest(
 
 Index library_function(Index which)
 {
-  Function * found = which == library::PIECE ? piece :
-    which == library::NEAREST ? nearest : which == library::FURTHEST ? furthest : nullptr;
+  Function * found = which == routine::PIECE ? piece :
+    which == routine::NEAREST ? nearest : which == routine::FURTHEST ? furthest : nullptr;
   return reinterpret_cast<Index>(found);
 }
 

@@ -11,13 +11,7 @@
 namespace closedloop
 {
 
-namespace library
-{
-/// Which of them; places of their addresses in the function table.
-enum Function : Index {PIECE = 39, NEAREST, FURTHEST};
-}
-
-/// Address of a function.
+/// Address of a function, by the place that it has in the function table.
 Index library_function(Index which);
 
 }  // namespace closedloop

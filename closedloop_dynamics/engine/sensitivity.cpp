@@ -378,8 +378,8 @@ private:
 
 Indices LaneRoutines::prepare(Index which, Values q, Values qd) const
 {
-  for (Index n = 0; n < table.size; n += step_routine::LANE_COLUMNS) {
-    const Indices one = table.part(n, step_routine::LANE_COLUMNS);
+  for (Index n = 0; n < table.size; n += step_routine::STEP_COLUMNS) {
+    const Indices one = table.part(n, step_routine::STEP_COLUMNS);
     if (call(one, 2 * which, q, qd)) {
       return one;
     }

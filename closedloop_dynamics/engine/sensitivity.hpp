@@ -77,7 +77,7 @@ struct StepRoutines
   void fields(Visitor && visit)
   {
     visit(
-      "table[>=57], qdd[V], lam[C], seed[seeds>=Q+2*V], result[>=seeds]", table, qdd, lam, seed,
+      "table[>=N], qdd[V], lam[C], seed[seeds>=Q+2*V], result[>=seeds]", table, qdd, lam, seed,
       result);
   }
 };
@@ -97,7 +97,7 @@ struct LaneRoutines
   template<class Visitor>
   void fields(Visitor && visit)
   {
-    visit("table[t>=60=t/60*60], shared, result[results>=16*C]", table, shared, result);
+    visit("table[t>=N=t/N*N], shared, result[results>=16*C]", table, shared, result);
   }
 };
 
@@ -117,23 +117,22 @@ struct RunInputs
   }
 };
 
-/// Places of the routines in their table, and its length; that of routines in lanes.
+/// Places of the routines in their table, and its length; that of routines in lanes is the same.
 namespace step_routine
 {
 enum : Index
 {
   ACCELERATION_FORWARD, ACCELERATION_REVERSE, POSITION_FORWARD, POSITION_REVERSE, RATE_FORWARD,
-  RATE_REVERSE, CLOSURE_FORWARD, TABLE_COLUMNS = 57, LANE_COLUMNS = 60
+  RATE_REVERSE, CLOSURE_FORWARD
 };
+enum Array : Index {SEED = routine::TABLE_COLUMNS, RESULT, SHARED, STEP_COLUMNS};
 }
 
 /// Rows of a scratch beside one for each stage: two for each correction of positions, and four.
 constexpr Index SCRATCH_ROWS = 20;
 static_assert(SCRATCH_ROWS == 2 * MOST_POSITION_CORRECTIONS + 4);
 // What signatures of records say in numbers, here and in chart.hpp and state_steps.hpp.
-static_assert(
-  step_routine::TABLE_COLUMNS == 57 && step_routine::LANE_COLUMNS == 60 && SCRATCH_ROWS == 20 &&
-  MOST_POSITION_CORRECTIONS == 8 && LANES == 8);
+static_assert(SCRATCH_ROWS == 20 && MOST_POSITION_CORRECTIONS == 8 && LANES == 8);
 
 /// Throws std::invalid_argument where a system cannot make such a run, or a tape is not one of it.
 void check(const System &, const SteppedRun &, const Tape &);

@@ -12,7 +12,6 @@ from ..codegen.machine_code import machine_code, SCALAR
 from ..codegen.motion_derivatives import AXES, FORCE, MotionTrace, PLACE, POINT_NUMBERS, SPIN
 from ..codegen.routines import topology
 from ..codegen.scene_routines import POINT
-from ..codegen.sensitivities import RESULT, SEED, TABLE_COLUMNS
 from ..engine import native
 from ..mechanism.errors import SingularityError
 from ..simulation.traced_scene import TracedScene
@@ -68,8 +67,8 @@ class MotionCode:
         self._seed = np.zeros(simulation.coordinates.nq + 2 * nv + len(arrays.entries))
         self._result = np.zeros(nv + 2 * count)
         self._table = scene.table({
-            calls.QDD: self._qdd, calls.LAM: self._lam, SEED: self._seed, RESULT: self._result,
-            POINT: self._places}, TABLE_COLUMNS)
+            calls.QDD: self._qdd, calls.LAM: self._lam, calls.SEED: self._seed,
+            calls.RESULT: self._result, POINT: self._places})
         self._scene = scene
         key = ('motion derivatives', topology(arrays.model), arrays.entries, bodies, rows, cuts,
                *scene.key)

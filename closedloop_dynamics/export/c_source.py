@@ -17,11 +17,11 @@ from .c_template import (
     WRENCHES)
 from ..codegen.c_writer import (
     in_single_precision, LIBRARY_SINES, SINE_AND_COSINE, statements, statements_in_lanes, VECTORS)
-from ..codegen.derivatives import COLUMN, DerivativeTrace, JACOBIAN, JOINT_FORCE, RATE
+from ..codegen.derivatives import COLUMN, DerivativeTrace, RATE
 from ..codegen.expression_graph import Q, QD
 from ..codegen.function_table import (
-    BODY, CLOSURE, CORRECTION, CORRECTIONS, CUT_POINT, ENERGY, EVALUATION, GRAVITY, LAM, LANES,
-    QDD, SHARED, TAU, VALUE_COLUMNS, VALUES)
+    BODY, CLOSURE, CORRECTION, CORRECTIONS, CUT_POINT, ENERGY, EVALUATION, GRAVITY, JACOBIAN,
+    JOINT_FORCE, LAM, LANES, QDD, SHARED, TAU, VALUE_COLUMNS, VALUES)
 from ..codegen.scene_routines import PLACE, PLACE_BIAS, PLACE_RATE, POINT, POWER, SceneTrace
 from ..effects.traced_laws import act, powers
 from ..engine.types import CUT_NUMBER, CUT_ROW, ROWS

@@ -11,9 +11,10 @@ from .c_source import require_c
 from ..codegen.differentiation import differentiated
 from ..codegen.expression_graph import Q, QD
 from ..codegen.function_table import (
-    BODY, CLOSURE, CORRECTIONS, CUT_POINT, ENERGY, GRAVITY, LAM, QDD, TAU, VALUES)
+    behind, BODY, CLOSURE, CORRECTIONS, CUT_POINT, ENERGY, GRAVITY, JACOBIAN, LAM, QDD, TAU,
+    VALUES)
 from ..codegen.joint_forces import closures_of
-from ..codegen.scene_routines import Forces, POWER, SceneTrace
+from ..codegen.scene_routines import Forces, PLACE_BIAS, POWER, SceneTrace
 from ..codegen.vectors import add, scale, ZERO
 from ..codegen.wasm_writer import DOUBLE, module
 from ..effects.force_law import MOTION as LAW_OF_MOTION, PROFILE
@@ -23,8 +24,8 @@ from ..simulation.traced_scene import TracedScene
 
 # Inputs and outputs beside those of function tables: a wrench on each body, in world axes at its
 # origin; motion of each body; forces where loops close; of each effect 1 where it acts, 0 where it
-# is switched off. Their places are behind all others.
-PUSH, MOTION, FORCE, SWITCH, JACOBIAN = range(66, 71)
+# is switched off.
+PUSH, MOTION, FORCE, SWITCH = behind(PLACE_BIAS, 4)
 # Numbers of a body's motion: its origin, its axes row by row, velocity and angular velocity.
 MOTION_COLUMNS = 18
 NAMES = {Q: 'q', QD: 'qd', TAU: 'tau', PUSH: 'push', SWITCH: 'switch', BODY: 'body',

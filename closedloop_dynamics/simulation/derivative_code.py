@@ -50,7 +50,7 @@ class DerivativeCode:
         self.table = self._scene.table({
             calls.QDD: qdd, calls.LAM: lam, RATE: self.rates, FLOW: self.flows,
             COLUMN: self.columns, calls.SHARED: self._factors, **(
-                {} if effects is None else {calls.SIDES: effects.code.sides})}, FLOW + 1)
+                {} if effects is None else {calls.SIDES: effects.code.sides})})
         self._residuals = first('residuals')
         self.table[:2] = self._residuals, machine_code(key, lambda: routines()[1], LANES)('solve')
 

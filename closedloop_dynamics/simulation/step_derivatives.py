@@ -15,8 +15,8 @@ from ..codegen.machine_code import LANES, machine_code, PACKED, SCALAR
 from ..codegen.routines import topology
 from ..codegen.scene_routines import POINT
 from ..codegen.sensitivities import (
-    ACCELERATION_FORWARD, CLOSURE, CLOSURE_FORWARD, FORWARD, LANE_COLUMNS, NAMES, RESULT, SEED,
-    SensitivityTrace, TABLE_COLUMNS, WRENCH, WRENCH_FORWARD)
+    ACCELERATION_FORWARD, CLOSURE, CLOSURE_FORWARD, FORWARD, NAMES, SensitivityTrace, WRENCH,
+    WRENCH_FORWARD)
 from ..engine import native
 from ..mechanism.errors import SingularityError
 
@@ -43,8 +43,8 @@ class StepDerivatives:
         seed, result = np.zeros(size), np.zeros(
             max(size, nv + nc, 2 * nc, 12 * (len(rows) + len(self._cuts))))
         table = self._scene.table({
-            calls.QDD: qdd, calls.LAM: lam, SEED: seed, RESULT: result, POINT: self._origins},
-            TABLE_COLUMNS)
+            calls.QDD: qdd, calls.LAM: lam, calls.SEED: seed, calls.RESULT: result,
+            POINT: self._origins})
         self.routines = StepRoutines(table, qdd, lam, seed, result)
 
     def need(self, group):
@@ -71,7 +71,7 @@ class StepDerivatives:
     def in_lanes(self, group):
         """Return the ``LaneRoutines`` of a group, compiled."""
         routines, most = self.routines, 0
-        tables = np.zeros((2, LANE_COLUMNS), dtype=np.int64)
+        tables = np.zeros((2, calls.STEP_COLUMNS), dtype=np.int64)
         for one in group:
             for with_arms, table in zip((True, False), tables):
                 *table[2 * one:2 * one + 2], count, by_arms = self._in_lanes(one, with_arms)
@@ -81,7 +81,7 @@ class StepDerivatives:
                     break
         shared = np.zeros(most)
         tables += self._scene.table({
-            calls.QDD: routines.qdd, calls.LAM: routines.lam, calls.SHARED: shared}, LANE_COLUMNS)
+            calls.QDD: routines.qdd, calls.LAM: routines.lam, calls.SHARED: shared})
         return LaneRoutines(
             tables.ravel(), shared, np.zeros(calls.LANES * len(routines.result)))
 

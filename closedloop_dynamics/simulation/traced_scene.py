@@ -77,16 +77,16 @@ class TracedScene:
         """Apply the effects to a ``codegen.scene_routines.Forces``."""
         act(self._effects, forces)
 
-    def table(self, arrays, columns):
+    def table(self, arrays):
         """
-        Return a table of addresses, of so many columns, without routines.
+        Return a table of addresses without routines.
 
         ``arrays``, by their places, beside those of the scene, are not kept by it.
         """
-        table = np.zeros(columns, dtype=np.int64)
-        for place, array in {calls.BODY: self._model.body, calls.GRAVITY: self._model.gravity,
-                             calls.CUT_POINT: self._model.cut_point, calls.VALUES: self.values,
-                             **arrays}.items():
+        arrays = {calls.BODY: self._model.body, calls.GRAVITY: self._model.gravity,
+                  calls.CUT_POINT: self._model.cut_point, calls.VALUES: self.values, **arrays}
+        table = np.zeros(max(arrays) + 1, dtype=np.int64)
+        for place, array in arrays.items():
             table[place] = array.ctypes.data
         return table
 
