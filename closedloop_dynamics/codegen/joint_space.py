@@ -132,11 +132,6 @@ class JointSpace(Recursion):
             if i in self.free:
                 self._release(i, parents)
 
-    @property
-    def in_one_frame(self):
-        """Return whether all angles are counted from the ground's frame, in space, too."""
-        return all(body.turned is None and not body.ball for body in self.bodies[1:])
-
     def _shared(self, parents):
         """Return the bodies in whose ``base`` further angles are counted: they share its axes."""
         rows = range(1, len(parents))

@@ -211,9 +211,6 @@ class Recursion:
 
     def __init__(self, bodies, cuts, gravity, hinges=()):
         self.bodies, self.cuts, self.hinges, self.apart = bodies, cuts, hinges, False
-        # Elsewhere loops may close on bodies whose angles are counted from different frames.
-        self.is_parallel = all(
-            body is None or body.turned is None and not body.ball for body in bodies)
         self.ground = BodyKinematics(
             IDENTITY, 0, True, 0.0, IDENTITY, ZERO, ZERO, ZERO, ZERO, ZERO, negate(gravity),
             2 * ZERO)
@@ -221,6 +218,11 @@ class Recursion:
         self.rotor = len(bodies) * [ZERO]
         self.factors, self.acceleration = {}, {}
         self._coordinates, self._across = {}, {}
+
+    @property
+    def in_one_frame(self):
+        """Return whether all angles are counted from the ground's frame, in space, too."""
+        return all(body.turned is None and not body.ball for body in self.bodies[1:])
 
     def load_coordinates(self, model, q, qd):
         """Store the coordinates and rates that couplings read."""
@@ -462,7 +464,7 @@ class Recursion:
     def _counts_angles(self, i):
         """Return whether levers and accelerations are those of a body's angle, not its joint's."""
         body = self.bodies[i]
-        return self.is_parallel and bool(body.turns) and is_zero((body.slides,))
+        return self.in_one_frame and bool(body.turns) and is_zero((body.slides,))
 
     def _joined_before(self, model, i):
         """Return whether the angle of a body is counted from before its own joint."""
