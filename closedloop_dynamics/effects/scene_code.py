@@ -55,7 +55,7 @@ def link(model, table, functions, scene=None):
     ``scene``: structure that the effects had when code was generated; where they have another one
     now, there is no evaluation until they have this one again.
     """
-    key = structure(model, table)
+    key, whole = structure(model, table), functions[calls.EVALUATION] != 0
     functions[list(calls.OF_SCENE)] = 0
     if key is not None and scene in (None, key):
         for place, address in _addresses(model, table, key).items():
@@ -63,6 +63,8 @@ def link(model, table, functions, scene=None):
         _known[int(functions[calls.MOTION])] = key
     functions[list(calls.FUNCTIONS)] = list(map(native.library_function, calls.FUNCTIONS))
     table.code.fits[0] = functions[calls.MOTION] != 0
+    if whole:
+        link_evaluation(model, table, functions)
 
 
 def link_evaluation(model, table, functions):

@@ -4,9 +4,10 @@
 """Inertia of rotors behind gears."""
 
 from closedloop_dynamics import Body, CutJoint, Joint, Mechanism
-from closedloop_dynamics.effects.registry import Gravity, Payload, Rotor
+from closedloop_dynamics.effects.registry import Gravity, JointDamping, Payload, Rotor
+from closedloop_dynamics.engine.types import WRITTEN
 from closedloop_dynamics.mechanism.fields import FieldError
-from closedloop_dynamics.simulation.system import with_equations
+from closedloop_dynamics.simulation.system import link_evaluation, with_equations
 import numpy as np
 import pytest
 
@@ -86,6 +87,23 @@ def test_dense_formulations_know_rotors(formulation):
     for found, expected in zip((one.acceleration, one.multipliers),
                                dense_dynamics(one, formulation)):
         assert np.allclose(found, expected, rtol=1e-10, atol=1e-9)
+
+
+@pytest.mark.parametrize('others', [{}, {'damping': JointDamping('slider_joint', 0.3)}])
+def test_a_rotor_in_another_joint_leaves_multipliers_to_one_routine(others):
+    _, mechanism, q, qd = cases.drawn('slider_crank')
+    moved, there = (simulated(mechanism, {
+        'gravity': EARTH, 'motor': Rotor(joint, 0.01, 5.0), **others}, q, qd)
+        for joint in ('crank_joint', 'rod_joint'))
+    for one in moved, there:
+        link_evaluation(one.data.system)
+    moved.set_effect('motor', joint='rod_joint')
+    for one in moved, there:
+        one.data.system.native.evaluate_state(one.data.integrated)
+        # In parts it would say that others can go on from its results.
+        assert one.data.system.work.health[WRITTEN] == 0.0
+    for name in ('qdd', 'lam'):
+        assert_agree(*(getattr(one.data.system, name) for one in (moved, there)), 1e-12)
 
 
 def test_rotors_keep_the_energy():
