@@ -112,7 +112,9 @@ typedef double part_of_four __attribute__((vector_size(4 * sizeof(double))));
 typedef double part_of_four __attribute__((vector_size(2 * sizeof(double))));
 #define AT_FOUR(v, place) (v).parts[(place) / 2][(place) % 2]
 #endif
-#if defined(__AVX512F__)
+/* GCC (12 at least) moves numbers between the halves of a vector of eight by vpermilpd, which
+ * leaves each pair of numbers where it is. */
+#if defined(__AVX512F__) && defined(__clang__)
 #define WIDTH 8
 #define PARTS_OF_EIGHT(of, a, sign, b) {{of(a, sign, b, 0)}}
 #elif defined(__AVX__)

@@ -15,7 +15,7 @@ import subprocess
 from closedloop_dynamics import (
     c_source, Differentiator, load_scene, Model, Simulation, SimulationError, Stepper)
 from closedloop_dynamics.cli import main
-from closedloop_dynamics.codegen.c_writer import SINE_AND_COSINE
+from closedloop_dynamics.codegen.c_writer import SINE_AND_COSINE, VECTORS
 from closedloop_dynamics.effects.registry import (
     ExternalForce, JointDamping, JointSpring, Law, Payload, PointSpring)
 from closedloop_dynamics.export.c_run import error_of_float32, step_cost
@@ -732,6 +732,25 @@ def test_sines_are_right_to_the_last_digits(tmp_path):
         for found, exact in ((sine, np.sin(angles)), (cosine, np.cos(angles))):
             # As for the vectors of our own code; near a zero what pi/2's parts leave out.
             assert (np.abs(found - exact) <= relative * np.abs(exact) + 1e-17).all()
+
+
+@compiled
+@pytest.mark.parametrize('options', (('-O2',), ('-O2', '-march=native')))
+def test_numbers_of_vectors_are_gathered_in_any_order(options, tmp_path):
+    orders = np.random.default_rng(0).integers(0, 8, (200, 4))
+    lines = [f'const four x{n} = {{{{{", ".join(f"AT_EIGHT(w, {lane})" for lane in order)}}}}}; '
+             f'const four y{n} = FOUR(x{n}, +, x{n}); memcpy(out + {4 * n}, &y{n}, sizeof y{n});'
+             for n, order in enumerate(orders)]
+    (tmp_path / 'gather.c').write_text('\n'.join((
+        '#include <string.h>', '#define VERSION(name) own_##name', VECTORS,
+        'void gather(const double *in, double *out)', '{', 'eight v;',
+        'memcpy(&v, in, sizeof v);', 'const eight w = EIGHT(v, +, v);', *lines, '}')))
+    subprocess.run(('cc', *options, '-shared', '-fPIC', '-o', tmp_path / 'gather.so',
+                    tmp_path / 'gather.c'), check=True)
+    given, found = np.arange(8.0), np.zeros(orders.shape)
+    ctypes.CDLL(str(tmp_path / 'gather.so')).gather(*(
+        ctypes.c_void_p(one.ctypes.data) for one in (given, found)))
+    assert np.array_equal(found, 4.0 * orders)
 
 
 @compiled
