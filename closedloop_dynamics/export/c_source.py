@@ -3,6 +3,7 @@
 
 """A scene as C99: evaluation, correction of the loops, a step, energies and points."""
 
+from contextlib import suppress
 import json
 import re
 import textwrap
@@ -15,6 +16,7 @@ from .c_template import (
     DECISION, DIFFERENTIATE, FEEDBACK, FORCES, HEADER, INVERSE, JACOBIANS, LINEAR_STEP, LINEARISE,
     MOVING, OPERATIONAL, PLAIN, SOURCE, STRAIGHT, TASKS, TURNING, VELOCITY, WITH_QUATERNIONS,
     WRENCHES)
+from ..codegen.arms import AlwaysSingularError
 from ..codegen.c_writer import (
     in_single_precision, LIBRARY_SINES, SINE_AND_COSINE, statements, statements_in_lanes, VECTORS)
 from ..codegen.derivatives import COLUMN, DerivativeTrace, RATE
@@ -142,8 +144,8 @@ class _Text:
         self.cuts = simulation.data.cut_rows, self._cut_axes()
         if self.joints:
             self.joints += [cut.name for cut in simulation.mechanism.cut_joints]
-        # Factors that columns of derivatives have in common.
-        self.factors = 0
+        # Factors that columns of derivatives have in common; what finds and takes other ones.
+        self.solution = {'FACTORS': '0', 'FACTORISE': '0', 'ASIDE': 'solve'}
         # By the input of a routine: the member of the model, its numbers, and their description.
         self.members = {
             BODY: ('body', self.model.body, f'of each row of the tree, the ground first: {body}'),
@@ -166,7 +168,7 @@ class _Text:
         """Return the source and the header."""
         words, versions = self._words(), '\n'.join(self._versions())
         vectors = re.search(r'\b(four|eight) ', versions + words['ROUTINES'])
-        words |= {'VERSIONS': versions, 'FACTORS': str(self.factors), 'COSTS': '',
+        words |= {'VERSIONS': versions, **self.solution, 'COSTS': '',
                   'VECTORS': f'{VECTORS}\n' if vectors else ''}
         free, driven, points = int(words['NI']), int(words['NA']), int(words['NP'])
         # By what they depend on, in an order in which none has one of the later ones.
@@ -261,7 +263,6 @@ class _Text:
 
     def _versions(self):
         """Yield the generated functions that take long."""
-        unrolled = self._unrolled
         yield self._function(
             'int VERSION(evaluation)', self._shortest(EVALUATION),
             {Q: 'const double *q', QD: 'const double *qd', TAU: 'const double *tau',
@@ -272,20 +273,43 @@ class _Text:
             {Q: 'const double *q', QD: 'const double *qd', CORRECTIONS: 'double *change',
              CLOSURE: 'double *closure'})
         if self.derivatives:
-            parts = []
-            first = unrolled(lambda one: parts.extend(one.in_lanes()), DerivativeTrace)
-            (_, shared), (solve,) = parts
-            self.factors = int(shared.outputs[0][2])
-            self.cost.count('void VERSION(solve)', solve, LANES)
-            yield self._function(
-                'int VERSION(columns_of)', first,
-                {Q: 'const double *q', QD: 'const double *qd', QDD: 'const double *qdd',
-                 LAM: 'const double *lam', COLUMN: 'double *columns', SHARED: 'double *factors',
-                 RATE: 'double *rates'})
-            body = '\n  '.join(statements_in_lanes(
-                solve, {Q: 'columns', SHARED: 'factors', QD: 'found'}, SHARED))
-            yield ('static void VERSION(solve)(\n  const double *columns, const double *factors, '
-                   f'double *found)\n{{\n  {body}\n}}\n')
+            yield from self._differentiation()
+
+    def _differentiation(self):
+        """Yield the functions that compute columns of derivatives, and solve for these."""
+        ways = {}
+        # In the plane a second solution takes more code, and the first one hardly less time.
+        for with_arms in (not (self.planar or self.float32), False):
+            if False in ways:
+                break
+            one = self._trace(DerivativeTrace, with_arms=with_arms)
+            with suppress(AlwaysSingularError):
+                (columns, shared), (solve,) = one.in_lanes()
+                ways[one.by_arms] = columns, solve, int(shared.outputs[0][2])
+        self.solution['FACTORS'] = str(max(count for *_, count in ways.values()))
+        if True in ways:
+            factors, solve, _ = ways[False]
+            factors.outputs = [one for one in factors.outputs if one[0] == SHARED]
+            factorise, aside = (f'{what}_next_to_singular_arms' for what in ('factorise', 'solve'))
+            yield self._function(f'int VERSION({factorise})', factors, {
+                Q: 'const double *q', SHARED: 'double *factors'})
+            yield self._solver(aside, solve)
+            self.solution |= {'FACTORISE': f'BEST({factorise}, (model, q, factors))',
+                              'ASIDE': aside}
+        columns, solve, _ = ways[True in ways]
+        yield self._function('int VERSION(columns_of)', columns, {
+            Q: 'const double *q', QD: 'const double *qd', QDD: 'const double *qdd',
+            LAM: 'const double *lam', COLUMN: 'double *columns', SHARED: 'double *factors',
+            RATE: 'double *rates'})
+        yield self._solver('solve', solve)
+
+    def _solver(self, name, routine):
+        """Return a function that solves for eight columns side by side."""
+        self.cost.count(f'void VERSION({name})', routine, LANES)
+        body = '\n  '.join(statements_in_lanes(
+            routine, {Q: 'columns', SHARED: 'factors', QD: 'found'}, SHARED))
+        return (f'static void VERSION({name})(\n  const double *columns, const double *factors, '
+                f'double *found)\n{{\n  {body}\n}}\n')
 
     def _routines(self):
         """Yield the other generated functions: those specific to the mechanism."""

@@ -1007,11 +1007,16 @@ static int derivatives_of(
   enum { COLUMNS = 3 * NV, BLOCKS = (COLUMNS + 7) / 8, ROWS = NV + NC };
   double columns[BLOCKS][8 * ROWS], found[8 * ROWS], factors[@FACTORS@];
   memset(columns, 0, sizeof columns);
-  if (!BEST(columns_of, (model, q, qd, qdd, lam, columns[0], factors, rates))) {
+  const int good = BEST(columns_of, (model, q, qd, qdd, lam, columns[0], factors, rates));
+  if (!good && !@FACTORISE@) {
     return 0;
   }
   for (int block = 0; block < BLOCKS; ++block) {
-    BEST(solve, (columns[block], factors, found));
+    if (good) {
+      BEST(solve, (columns[block], factors, found));
+    } else {
+      BEST(@ASIDE@, (columns[block], factors, found));
+    }
     for (int n = 0; n < 8 && 8 * block + n < COLUMNS; ++n) {
       for (int row = 0; row < ROWS; ++row) {
         *derivatives++ = found[8 * row + n];

@@ -623,17 +623,23 @@ def test_the_library_evaluates_corrects_and_reports_faults(tmp_path):
         'stewart_platform', 1, 0.5 * np.pi, marks=pytest.mark.slow)))
 def test_a_singular_arm_is_evaluated_with_all_multipliers(scene, joint, where, tmp_path):
     simulation = simulation_of(scene)
-    library = ctypes.CDLL(str(build(tmp_path, simulation, '-shared', '-fPIC')))
-    model, system = ctypes.c_char.in_dll(library, 'model_default'), simulation.data.system
-    rng, nv = np.random.default_rng(0), len(simulation.velocity)
+    call, _ = library_of(tmp_path, simulation, True, ('-O0',))
+    system, rng, nv = simulation.data.system, np.random.default_rng(0), len(simulation.velocity)
     q, qd, tau = simulation.position, rng.normal(size=nv), rng.normal(size=nv)
-    system.tau[:] = tau
+    qdd, lam = np.zeros((nv + 1, nv)), np.zeros((nv + 1, len(simulation.multipliers)))
     for angle in (q[joint], where + 1e-3, where):
-        q[joint], qdd, lam = angle, np.zeros(nv), np.zeros(len(simulation.multipliers))
-        assert library.model_evaluate(ctypes.byref(model), *(
-            ctypes.c_void_p(one.ctypes.data) for one in (q, qd, tau, qdd, lam))) == 0
+        q[joint], derivatives = angle, np.zeros((3, nv, nv + lam.shape[1]))
+        assert call('differentiate', q, qd, tau, qdd[-1], lam[-1], derivatives) == 0
+        assert np.isfinite(derivatives).all()
+        # Accelerations and multipliers are linear in torques.
+        for more, *results in zip(np.eye(nv), qdd, lam):
+            assert call('evaluate', q, qd, tau + more, *results) == 0
+        changes = np.hstack((qdd - qdd[-1], lam - lam[-1]))[:-1]
+        np.testing.assert_allclose(derivatives[2], changes, rtol=0, atol=1e-11 * np.abs(
+            np.hstack((qdd, lam))).max())
+        system.tau[:] = tau
         system.native.evaluate(q, qd)
-        for found, expected in (qdd, system.qdd), (lam, system.lam):
+        for found, expected in (qdd[-1], system.qdd), (lam[-1], system.lam):
             np.testing.assert_allclose(found, expected, atol=1e-10 * np.abs(expected).max())
 
 
@@ -816,10 +822,12 @@ def test_a_predictive_controller_by_ipopt_reaches_its_goal():
 
 
 @compiled
-@pytest.mark.parametrize('compiler, options', (
-    ('plain', ()), pytest.param('gnu', ('-O1',), marks=pytest.mark.slow)))
-def test_derivatives_in_c_are_those_of_the_package(compiler, options, tmp_path):
-    simulation = simulation_of('three_rrr_vertical')
+@pytest.mark.parametrize('scene, compiler, options', (
+    ('three_rrr_vertical', 'plain', ()), *(
+        pytest.param(scene, 'gnu', ('-O1',), marks=pytest.mark.slow)
+        for scene in ('three_rrr_vertical', 'stewart_platform'))))
+def test_derivatives_in_c_are_those_of_the_package(scene, compiler, options, tmp_path):
+    simulation = simulation_of(scene)
     library = ctypes.CDLL(str(build(tmp_path, simulation, '-shared', '-fPIC', *options,
                                     derivatives=True, compiler=compiler)))
     command = torques(simulation)
