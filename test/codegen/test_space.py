@@ -5,7 +5,7 @@
 
 from dataclasses import replace
 
-from closedloop_dynamics.codegen import expression_graph as graph, routines
+from closedloop_dynamics.codegen import expression_graph as graph, routines, space
 from closedloop_dynamics.codegen.equations import Equations
 from closedloop_dynamics.codegen.function_table import (
     ACCELERATION, CORRECTION, EVALUATION, REFINED_ACCELERATION, REFINED_CORRECTION)
@@ -19,7 +19,7 @@ import pytest
 from .spatial_engine import motion_with_forces, SpatialEngine
 from ..reference import cases, spatial_linkages, spatial_machines, spatial_maximal as twin
 from ..reference.compare import assert_agree, IDENTITY
-from ..reference.numbers import Numbers
+from ..reference.numbers import equations, Numbers
 
 
 # All types of joints and cut joints are among the first.
@@ -65,11 +65,19 @@ def test_rates_and_biases_are_derivatives_where_loops_are_open(kind, seed):
     numbers = Numbers(SpatialEngine(replace(mechanism, cut_joints=(cut,))).model)
     q, qd = q + rng.normal(size=len(q)), rng.normal(size=len(q))
 
-    def closures(step):
-        numbers.move(q + step * qd, qd)
-        return numbers.closures()
+    def axes():
+        """Return those of places that turn with body B, which rates and biases do not count."""
+        held = [one.on_a[3:] for _, _, one in equations(numbers.recursion, numbers.model)]
+        return np.reshape(held, (-1, 3)) * space.is_carried(numbers.model, numbers.model.cut[0])
 
-    (_, rate, bias), step = closures(0.0), 1e-5
+    def closures(step):
+        """Return them along the axes of no step."""
+        numbers.move(q + step * qd, qd)
+        found, turned = numbers.closures(), axes()
+        return found + found @ turned @ (start - turned).T
+
+    numbers.move(q, qd)
+    (_, rate, bias), start, step = numbers.closures(), axes(), 1e-5
     assert_agree(numbers.jacobian() @ qd, rate, 1e-12)
     before, after = closures(-step), closures(step)
     found = (after[:2] - before[:2]) / (2.0 * step)
