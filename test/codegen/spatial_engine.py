@@ -8,7 +8,7 @@ import ctypes
 from closedloop_dynamics.codegen import (
     expression_graph as graph, function_table as calls, routines, space)
 from closedloop_dynamics.codegen.emit import Q, QD
-from closedloop_dynamics.codegen.spatial import Recursion
+from closedloop_dynamics.codegen.spatial import Recursion, Z
 from closedloop_dynamics.engine import types as t
 from closedloop_dynamics.kinematics.modeling import mechanism_arrays
 from closedloop_dynamics.mechanism.mechanism import JOINT_FREEDOMS
@@ -76,13 +76,19 @@ def _array(outputs, source, size):
     return np.array([outputs.get(source, {}).get(place, 0.0) for place in range(size)])
 
 
-def inputs_with_forces(model, q, qd, tau, first=1):
-    """Return inputs with forces of effects on the bodies from a row of the tree on."""
+def forces_on_bodies(model):
+    """Return forces on the rows of a tree; within spherical joints methods turn by other axes."""
+    within = (model.tree[:, t.TYPE] == t.BALL) & (model.tree[:, t.AXIS] != Z)
+    return np.where(within[:, np.newaxis], 0.0, np.linspace(-0.7, 0.8, 6))
+
+
+def inputs_with_forces(model, q, qd, tau):
+    """Return inputs with forces of effects on the bodies."""
     inputs = _inputs(model, q, qd, tau)
     outputs, _ = interpret(routines.MechanismTrace(model).routine(calls.OUTWARD), inputs)
     body = _array(outputs, calls.WORK_BODY, len(model.tree) * space.WORK_COLUMNS).reshape(
         -1, space.WORK_COLUMNS)
-    body[first:, list(space.FORCES.values())] += np.linspace(-0.7, 0.8, 6)
+    body[:, list(space.FORCES.values())] += forces_on_bodies(model)
     return {**inputs, calls.WORK_BODY: body.ravel()}
 
 
@@ -107,7 +113,7 @@ def motion_with_forces(model, q, qd, tau):
     """
     nv, nc, trace = len(model.tree) - 1, len(model.column) - 1, routines.MechanismTrace
     inputs = inputs_with_forces(model, q, qd, tau)
-    inputs[calls.ADDED_FORCE] = np.tile(np.linspace(-0.7, 0.8, 6), (nv + 1, 1))
+    inputs[calls.ADDED_FORCE] = forces_on_bodies(model)
     moved, _ = interpret(trace(model).routine(calls.ACCELERATION), inputs)
     found, _ = interpret(trace(model).routine(calls.EQUATIONS_OF_MOTION), inputs)
     return (_array(found, calls.INERTIA_MATRIX, nv * nv).reshape(nv, nv),
