@@ -44,7 +44,9 @@ def test_a_jump_within_a_step_leaves_no_error():
 
 @pytest.mark.parametrize('method', [
     {'integrator': 'rk4', 'step_size': 0.01}, {'integrator': 'auto', 'step_size': 0.01},
-    pytest.param({'integrator': 'rodas4', 'step_size': 0.3}, marks=pytest.mark.slow),
+    # Its Jacobian by differences has an error that a smaller tolerance makes count for less.
+    pytest.param({'integrator': 'rodas4', 'step_size': 0.3, 'tolerance': 1e-9},
+                 marks=pytest.mark.slow),
     pytest.param({'integrator': 'dopri5', 'step_size': 0.3}, marks=pytest.mark.slow),
     pytest.param({'integrator': 'rodas4_fixed', 'step_size': 0.01}, marks=pytest.mark.slow)])
 def test_corners_are_met_by_every_method(method):
