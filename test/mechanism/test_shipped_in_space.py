@@ -20,7 +20,7 @@ MACHINES = {
     'bricard': (5, 5, 4, 1),
     'delta_robot': (10, 15, 15, 3),
     'double_wishbone': (8, 6, 6, 5),
-    'excavator_arm': (12, 16, 8, 4),
+    'excavator_arm': (12, 8, 8, 4),
     'rssr_four_bar': (3, 3, 3, 2),
     'stewart_platform': (13, 15, 15, 6),
 }
