@@ -170,13 +170,15 @@ class Assembler:
 
     def _is_closed_to_digits(self, guess, psi, hold):
         """Return whether loops stay open by digits alone, whatever is held."""
-        enough = self.mechanism.tolerance
-        if not self._is_closed(psi, enough):
+        # Axes that were made parallel have turned by as much, whatever the size is.
+        enough = self.mechanism.tolerance * np.where(
+            self._equations.places[self._kept] == 1, self.extent, 1.0)
+        if not (np.abs(psi) <= enough).all():
             return False
         if len(hold) == 0:
             return True
         _, left = self.solve_closure(guess, np.arange(self.nv))
-        return not self._is_closed(left) and self._is_closed(left, enough)
+        return not self._is_closed(left) and bool((np.abs(left) <= enough).all())
 
     def solve_closure(self, q, free, enough=TOLERANCE):
         """
