@@ -35,7 +35,7 @@ def ends(scene, cuts=CUTS, duration=DURATION, kept=None):
     for cut in cuts:
         simulation = Simulation(scene)
         if kept is not None:
-            simulation.exchange(simulation.data.loop_model.select(kept))
+            simulation.data.use_equations(simulation.data.loop_model.select(kept))
         for _ in range(round(duration / (cut * simulation.step_size))):
             simulation.step(None, cut * simulation.step_size)
         found.append(simulation.position)
