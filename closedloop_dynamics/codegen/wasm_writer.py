@@ -5,8 +5,8 @@
 WebAssembly writer for traced arithmetic: modules that browsers run, without a compiler.
 
 A module has one memory with all arrays in it. Each routine is a function without parameters that
-returns 1 where the branches that were taken are right, else 0. Source: WebAssembly Core
-Specification 1.0, chapter 5 (binary format).
+returns 1 where the branches that were taken are right, else what the routine that does the same
+otherwise returns, or 0. Source: WebAssembly Core Specification 1.0, chapter 5 (binary format).
 """
 
 from collections import Counter
@@ -14,13 +14,13 @@ import struct
 
 from .expression_graph import (
     ADD, ARCTANGENT, BOTH, CHOOSE, CONDITIONS, COSINE, DIVIDE, EXPONENTIAL, GREATER_EQUAL, LESS,
-    LOAD, LOGARITHM, MULTIPLY, NEGATE, POWER, SINE, SQUARE_ROOT, SUBTRACT)
+    LOAD, LOGARITHM, MULTIPLY, NEGATE, POWER, SINE, SQUARE_ROOT, SUBTRACT, with_others)
 
 # Types of values, and the marks of other parts of a module.
 I32, F64, FUNCTION = b'\x7f', b'\x7c', b'\x60'
 TYPES, IMPORTS, FUNCTIONS, MEMORIES, EXPORTS, CODE = 1, 2, 3, 5, 7, 10
 # Instructions.
-END, CALL, SELECT = b'\x0b', b'\x10', b'\x1b'
+IF, ELSE, END, CALL, SELECT = b'\x04', b'\x05', b'\x0b', b'\x10', b'\x1b'
 GET, SET, LOAD_F64, STORE_F64, CONST_I32, CONST_F64 = (
     b'\x20', b'\x21', b'\x2b', b'\x39', b'\x41', b'\x44')
 OPERATIONS = {ADD: b'\xa0', SUBTRACT: b'\xa1', MULTIPLY: b'\xa2', DIVIDE: b'\xa3', NEGATE: b'\x9a',
@@ -40,7 +40,7 @@ def module(routines, sizes):
     Parameters
     ----------
     routines : list of Routine
-        Each becomes a function of its name.
+        Each becomes a function of its name; what does the same otherwise has none outside.
     sizes : dict of int to int
         By input or output, how many numbers its array has.
 
@@ -52,10 +52,10 @@ def module(routines, sizes):
         By input or output, where its array begins in the memory [bytes].
 
     """
-    addresses, end = {}, 0
+    addresses, end, functions = {}, 0, with_others(routines)
     for source, size in sizes.items():
         addresses[source], end = end, end + DOUBLE * size
-    kinds = sorted({routine.graph.operations[place][0] for routine in routines
+    kinds = sorted({routine.graph.operations[place][0] for routine in functions
                     for place in routine.needed()} & set(MATH))
     # Types of the imported functions of one and of two numbers, and of the routines.
     types = [FUNCTION + _vector([F64] * count) + _vector([F64]) for count in (1, 2)]
@@ -63,13 +63,14 @@ def module(routines, sizes):
     imports = [_text('math') + _text(MATH[kind][0]) + b'\x00' + _unsigned(MATH[kind][1] - 1)
                for kind in kinds]
     exports = [_text('memory') + b'\x02' + _unsigned(0)]
-    exports += [_text(routine.name) + b'\x00' + _unsigned(number)
-                for number, routine in enumerate(routines, start=len(kinds))]
-    calls = {kind: CALL + _unsigned(number) for number, kind in enumerate(kinds)}
+    # By kinds of operations and routines, whose functions come in this order.
+    numbers = {one: _unsigned(number) for number, one in enumerate((*kinds, *functions))}
+    exports += [_text(routine.name) + b'\x00' + numbers[routine] for routine in routines]
+    calls = {one: CALL + number for one, number in numbers.items()}
     sections = (
-        (TYPES, types), (IMPORTS, imports), (FUNCTIONS, [_unsigned(2)] * len(routines)),
+        (TYPES, types), (IMPORTS, imports), (FUNCTIONS, [_unsigned(2)] * len(functions)),
         (MEMORIES, [b'\x00' + _unsigned(-(-end // PAGE))]), (EXPORTS, exports),
-        (CODE, [_sized(_Function(routine, addresses, calls).body()) for routine in routines]))
+        (CODE, [_sized(_Function(routine, addresses, calls).body()) for routine in functions]))
     return b'\x00asm\x01\x00\x00\x00' + b''.join(
         bytes([number]) + _sized(_vector(items)) for number, items in sections), addresses
 
@@ -112,6 +113,10 @@ class _Function:
             self._code.append(CONST_I32 + b'\x01')
         else:
             self._put(guard.place)
+            if routine.otherwise is not None:
+                # It stores all results again.
+                self._code += [IF + I32, CONST_I32 + b'\x01', ELSE,
+                               self._calls[routine.otherwise], END]
         first = {F64: 0, I32: self._count[F64]}
         code = b''.join(one if isinstance(one, bytes) else
                         one[0] + _unsigned(first[one[1][0]] + one[1][1]) for one in self._code)

@@ -11,8 +11,8 @@ from .c_source import require_c
 from ..codegen.differentiation import differentiated
 from ..codegen.expression_graph import Q, QD
 from ..codegen.function_table import (
-    behind, BODY, CLOSURE, CORRECTIONS, CUT_POINT, ENERGY, GRAVITY, JACOBIAN, LAM, QDD, TAU,
-    VALUES)
+    behind, BODY, CLOSURE, CORRECTION, CORRECTIONS, CUT_POINT, ENERGY, EVALUATION, GRAVITY, JACOBIAN,
+    LAM, QDD, TAU, VALUES)
 from ..codegen.joint_forces import closures_of
 from ..codegen.scene_routines import Forces, PLACE_BIAS, POWER, SceneTrace
 from ..codegen.vectors import add, scale, ZERO
@@ -80,15 +80,19 @@ def wasm_module(simulation):
     routines, choices = [], choices_of(simulation)
     traced = [(one, what, f'_{number}' * bool(number))
               for number, (one, _) in enumerate(choices)
-              for what in ('evaluation', 'correction', 'forces')]
+              for what in (EVALUATION, CORRECTION, 'forces')]
     if len(choices) > 1:
         whole = simulation.data.loop_model.equations.model
         traced.append((whole, 'jacobian', ''))
         found[JACOBIAN] = (len(whole.column) - 1) * nv
     for one, what, ending in (*traced, (model, 'energies', ''), (model, 'bodies', '')):
         trace = _Trace(one, table, values.shape, cuts)
-        getattr(trace, what)()
-        routines.append(trace.named(what + ending))
+        if what in (EVALUATION, CORRECTION):
+            routines.append(trace.routine(what))
+        else:
+            getattr(trace, what)()
+            routines.append(trace.named(what))
+        routines[-1].name += ending
     binary, addresses = module(routines, {
         **{source: array.size for source, array in given.items()}, **found})
     return binary, {
@@ -166,13 +170,17 @@ class _SwitchedForces(Forces):
 class _Trace(SceneTrace):
     """A scene with a wrench on each body; a trace serves for one routine."""
 
-    def __init__(self, model, table, values, cuts):
-        super().__init__(model, lambda forces: act(table, forces), values)
+    def __init__(self, model, table, values, cuts, with_arms=True):
+        super().__init__(model, lambda forces: act(table, forces), values, with_arms, None)
         self._cuts, self._table, self._driven = cuts, table, []
         self.switches = 0 if table is None else len(table.role)
         if table is not None:
             self._driven = [row.equation for row in table.enabled_rows
                             if row.law.role == LAW_OF_MOTION]
+
+    def without_arms(self):
+        """Return a trace of the same with all multipliers."""
+        return _Trace(self.constant, self._table, self.values.shape, self._cuts, False)
 
     def evaluation(self):
         """Accelerations, multipliers and power of effects."""

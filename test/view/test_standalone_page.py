@@ -12,6 +12,8 @@ from test.view.browser import browser, program
 
 from closedloop_dynamics import load_scene, scene_names, Simulation
 from closedloop_dynamics.cli import main
+from closedloop_dynamics.codegen import function_table as calls
+from closedloop_dynamics.codegen.routines import MechanismTrace
 from closedloop_dynamics.effects.registry import PrescribedMotion
 from closedloop_dynamics.scene.key_paths import changed
 from closedloop_dynamics.simulation.traced_scene import refusals
@@ -20,6 +22,9 @@ from closedloop_dynamics.view.own_motion import OwnMotion
 from closedloop_dynamics.view.standalone import standalone
 import numpy as np
 import pytest
+
+from ..codegen.spatial_engine import _array, _inputs, interpret
+from ..reference.compare import assert_agree, SOLVE
 
 pytestmark = pytest.mark.skipif(
     program() is None, reason='no Chromium is installed (Debian: apt install chromium)')
@@ -121,6 +126,32 @@ def test_digits_are_the_same_after_a_second(name, bare):
     simulation.step(command, 1.0)
     require_same(found, simulation)
     assert abs(found['residual']) < 1e-8
+
+
+@pytest.mark.parametrize('name, joint, where', (
+    ('three_rrr', 1, 0.0), ('stewart_platform', 1, 0.5 * np.pi)))
+def test_next_to_singular_arms_results_are_those_with_all_multipliers(name, joint, where, bare):
+    scene, rng = load_scene(name), np.random.default_rng(0)
+    _, machine = standalone(scene, OwnMotion())
+    simulation = accurate(scene)
+    model, q = simulation.data.system.model, simulation.position
+    nv, nc = len(simulation.velocity), len(simulation.multipliers)
+    qd, tau = rng.normal(size=(2, nv))
+    for angle in (q[joint], where + 1e-3, where):
+        q[joint] = angle
+        given = json.dumps({'q': q.tolist(), 'qd': qd.tolist(), 'tau': tau.tolist()})
+        results = bare.ask(f"""Machine.of({json.dumps(machine)}).then((machine) => {{
+            for (const [name, values] of Object.entries({given})) machine.arrays[name].set(values);
+            const {{qdd, lam, change}} = machine.arrays;
+            return [machine.call('evaluation'), machine.call('correction'),
+                    [...qdd], [...lam], [...change]]; }})""")
+        assert results[:2] == [1, 1]
+        for found, which, source, size in zip(
+                results[2:], (calls.EVALUATION, calls.EVALUATION, calls.CORRECTION),
+                (calls.QDD, calls.LAM, calls.CORRECTIONS), (nv, nc, 2 * nv)):
+            outputs, _ = interpret(MechanismTrace(model, with_arms=False).routine(which),
+                                   _inputs(model, q, qd, tau))
+            assert_agree(found, _array(outputs, source, size), SOLVE)
 
 
 def test_a_singular_position_is_named(bare):
