@@ -30,7 +30,7 @@ from .spatial import aligned, Recursion, shifted
 from .vectors import (
     add, cross, dot, IDENTITY, in_blocks, is_zero, product, scale, subtract, symmetric, times,
     transpose, ZERO)
-from ..engine.types import BODY_A, BODY_B, DOF, EVALUATIONS, PARENT, ROW
+from ..engine.types import BODY_A, BODY_B, DOF, EVALUATIONS, PARENT, ROW, ROWS
 
 
 class Cluster(NamedTuple):
@@ -59,6 +59,8 @@ def clusters(recursion, model):
             _keeps_axis(body, p) for body, p in zip(recursion.bodies[1:], parent[1:])):
         return None
     for a, (cut, one) in enumerate(zip(model.cut, recursion.cuts)):
+        if cut[ROWS] == 0:
+            continue
         ends = cut[[BODY_A, BODY_B]].tolist()
         if one.coupling is not None:
             ends = [i for i, _ in one.coupling[1]]

@@ -9,6 +9,7 @@ from functools import partial
 from closedloop_dynamics.codegen import clusters, function_table as calls, routines, space
 from closedloop_dynamics.engine import types as t
 from closedloop_dynamics.kinematics.modeling import build_model
+from closedloop_dynamics.mechanism.mechanism import CutJoint, Joint
 from closedloop_dynamics.simulation.system import build_system, number_of_states
 from families import geared_arm, tower
 import numpy as np
@@ -27,8 +28,19 @@ def without_loops(mechanism, q):
     return replace(mechanism, cut_joints=()), q
 
 
+def welded(mechanism, q):
+    """Return a mechanism with a plate on its last body that two joints hold, and nothing moves."""
+    last, up = mechanism.bodies[-1], (0.0, 0.0, 1.0)
+    return replace(
+        mechanism, bodies=(*mechanism.bodies, replace(last, name='plate')),
+        joints=(*mechanism.joints, Joint('weld', 'fixed', last.name, 'plate', 3 * (0.0,))),
+        cut_joints=(*mechanism.cut_joints, CutJoint(
+            'hinge', 'revolute', 'plate', last.name, up, up, axis_a=up, axis_b=up))), q
+
+
 MACHINES = {
     'tower': partial(tower, 3, 1, ANGLES), 'tree': partial(tower, 2, 2, ANGLES),
+    'welded': lambda: welded(*tower(1, 1, ANGLES)),
     'gears': partial(geared_arm, 3), 'open': lambda: without_loops(*tower(1, 2, ANGLES))}
 
 
