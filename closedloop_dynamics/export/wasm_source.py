@@ -11,8 +11,8 @@ from .c_source import require_c
 from ..codegen.differentiation import differentiated
 from ..codegen.expression_graph import Q, QD
 from ..codegen.function_table import (
-    behind, BODY, CLOSURE, CORRECTION, CORRECTIONS, CUT_POINT, ENERGY, EVALUATION, GRAVITY, JACOBIAN,
-    LAM, QDD, TAU, VALUES)
+    behind, BODY, CLOSURE, CORRECTION, CORRECTIONS, CUT_POINT, ENERGY, EVALUATION, GRAVITY,
+    JACOBIAN, LAM, QDD, TAU, VALUES)
 from ..codegen.joint_forces import closures_of
 from ..codegen.scene_routines import Forces, PLACE_BIAS, POWER, SceneTrace
 from ..codegen.vectors import add, scale, ZERO
