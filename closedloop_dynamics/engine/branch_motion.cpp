@@ -161,10 +161,14 @@ bool accelerate_along(
     const Values tangent = point.tangent[independent[k]];
     for (Index i = 0; i < nv; ++i) {
       system.qdd[i] += push[k] * tangent[i];
-      force[i] += push[k] * carried(k, i);
     }
   }
   if (multipliers) {
+    for (Index k = 0; k < freedoms; ++k) {
+      for (Index i = 0; i < nv; ++i) {
+        force[i] += push[k] * carried(k, i);
+      }
+    }
     system.work.health[health::RANK] =
       static_cast<double>(find_multipliers(equations, point, added, force));
   }
