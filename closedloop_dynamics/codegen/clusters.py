@@ -19,7 +19,6 @@ gap times the turning of that body.
 ``accelerate`` takes the place of that of ``forward_dynamics`` for mechanisms in space.
 """
 
-import functools
 import math
 from typing import NamedTuple
 
@@ -200,11 +199,13 @@ class _Tree:
     def _eliminate_free_body(self, rows):
         """Find the acceleration of a body that nothing carries, in its own axes."""
         slides, ball, last = rows[:3], rows[3:], rows[-1]
-        turn, found, torque = self.views[ball[0]].turn, arms.Equations(), {
-            i: self.tau[self.model.tree[i, DOF]] for i in rows}
-        inertia, force = map(add, self.rigid[last].matrix(), self.inertia[last]), [
-            *(torque[i] for i in ball), *times(transpose(turn), functools.reduce(add, (
-                subtract(scale(self.axis[i][3:], torque[i]), self.force[i][3:]) for i in slides)))]
+        turn, found, pushed, pulled = self.views[ball[0]].turn, arms.Equations(), ZERO, ZERO
+        torque = {i: self.tau[self.model.tree[i, DOF]] for i in rows}
+        for i in reversed(slides):
+            axis, pushed = self.axis[i][3:], add(pushed, self.force[i][3:])
+            pulled = add(pulled, scale(axis, torque[i] - dot(axis, pushed)))
+        inertia = map(add, self.rigid[last].matrix(), self.inertia[last])
+        force = [*(torque[i] for i in ball), *times(transpose(turn), pulled)]
         for one in self.rigid[last].force, *(self.force[i] for i in ball):
             force = subtract(force, one)
         keys = [(last, n) for n in range(6)]
