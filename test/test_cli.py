@@ -125,6 +125,13 @@ def test_check_assembles_as_simulate_does(capsys, tmp_path):
     assert errors.splitlines()[-1] == refused.replace('loop check', 'loop simulate')
 
 
+def test_check_describes_machines_whose_inertia_overflows(capsys):
+    key = 'mechanism.bodies.distal_1.center_of_mass.1'
+    code, text, refused = call(capsys, 'check', 'three_rrr', '--set', f'{key}=-1e308')
+    assert code == 2 and 'degrees of freedom' in text
+    assert 'not finite numbers' in refused.splitlines()[-1]
+
+
 def test_a_start_that_may_not_be_meant_is_reported_by_check_and_simulate(capsys, tmp_path):
     scene = tmp_path / 'scene.yaml'
     scene.write_text((START % ('7.33', '3.0')).replace(', rocker_joint]', ']'))

@@ -688,8 +688,10 @@ class Assembler:
 
     def closes(self, guess):
         """Return whether the loops close next to a position, shape (nq,), with nothing held."""
-        _, psi = self.solve_closure(guess, np.arange(self.nv))
-        return self._is_closed(psi) or self._is_closed_to_digits(guess, psi, ())
+        with suppress(AssemblyError):
+            _, psi = self.solve_closure(guess, np.arange(self.nv))
+            return self._is_closed(psi) or self._is_closed_to_digits(guess, psi, ())
+        return False
 
     def closed_from(self, guess):
         """Return a position that closes the loops, from any, shape (nq,); None where none is."""
