@@ -150,6 +150,11 @@ class Plan:
                 return found
         return None
 
+    @property
+    def steps_aside(self):
+        """Return whether arms have singular positions where their loops have none."""
+        return any(1 < len(rows) >= len(joints) for joints, rows in self.steps)
+
     def carriers(self, body):
         """Return a row of the tree and those that carry it, up to a floating one."""
         found = []

@@ -122,12 +122,6 @@ def _carriers(parent, i):
     return rows
 
 
-def step_aside(some):
-    """Return whether some clusters have singular positions where their loops have none."""
-    return any(1 < len(rows) == len(joints) for one in some if one.plan is not None
-               for joints, rows in one.plan.steps)
-
-
 class _Tree:
     """The bodies of a tree while their clusters are eliminated, in the axes of views."""
 

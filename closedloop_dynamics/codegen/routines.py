@@ -365,8 +365,9 @@ class MechanismTrace:
             if not (self.with_arms and self._has_many_arms()):
                 ways += self._by_multipliers()
             self.by = shorter(self.constant, ways)
-        self.by_arms = self.by is arms or self.by is clusters and clusters.step_aside(
-            self.clusters)
+        plans = [one.plan for one in self.clusters if one.plan] if self.by is clusters else [
+            arms.Plan.of(self.recursion, self.constant)] if self.by is arms else []
+        self.by_arms = any(plan.steps_aside for plan in plans)
         return self.by
 
     def _has_many_arms(self):
