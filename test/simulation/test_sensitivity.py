@@ -252,14 +252,16 @@ def test_a_gradient_passes_an_impact_on_a_stop():
 
 @pytest.mark.parametrize('integrator', ['rk4', 'semi_implicit_euler'])
 @pytest.mark.parametrize('scene', ['three_rrr', 'rssr_four_bar'])
-def test_a_trajectory_is_the_rollout_to_the_last_digit(scene, integrator):
+def test_a_trajectory_is_the_rollout_but_for_rounding(scene, integrator):
+    # Where it needs multipliers, other products are rounded.
     case = Case(scene, integrator)
     done = cld.rollout(case.model, case.start, case.torques, method=case.method, steps=STEPS,
                        every=EVERY)
     if not (scene == 'rssr_four_bar' and integrator == 'semi_implicit_euler'):
         # There a guard ends the rollout.
-        np.testing.assert_array_equal(case.trajectory.position, done.position[0])
-        np.testing.assert_array_equal(case.trajectory.velocity, done.velocity[0])
+        for found, expected in ((case.trajectory.position, done.position[0]),
+                                (case.trajectory.velocity, done.velocity[0])):
+            np.testing.assert_allclose(found, expected, rtol=0, atol=1e-14 * np.abs(found).max())
     np.testing.assert_allclose(case.trajectory.time, done.time, rtol=1e-15)
 
 
