@@ -123,7 +123,7 @@ def mutated(rng, text):
 
 
 def accepted_state(path, notes):
-    """Return whether what was accepted, with notes, stands closed and finite: a check of its own."""
+    """Return whether what was accepted stands closed to what notes say, and finite, by itself."""
     simulation = Simulation(load_scene(path))
     finite = np.isfinite([*simulation.position, *simulation.velocity, simulation.energy]).all()
     largest = max((abs(value) for cut in simulation.mechanism.cut_joints
