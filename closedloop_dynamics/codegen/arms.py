@@ -195,7 +195,7 @@ class Plan:
         Choose the steps: again and again equations with joints that are in no others.
 
         ``left``: groups of equations; ``columns``: joints of each; ``alone``: those whose joints
-        have levers that never vanish; ``rolling``: of a spherical joint that row which may not.
+        have levers that never vanish; ``rolling``: rows of spherical joints, as of ``Cut.rolling``.
         """
         def own(group):
             """Return the joints that a group of equations can eliminate."""
@@ -205,7 +205,7 @@ class Plan:
             if len(group) == 1:
                 return joints[:1] if alone.issuperset(group) else []
             if len(group) == 2:
-                # Of more than three only one is never across both equations in vain.
+                # Three keep one motion.
                 return joints if len(joints) <= 2 else joints[:3]
             if len(group) == _MOST and len(joints) <= _MOST:
                 return joints if len(joints) >= 2 else []
