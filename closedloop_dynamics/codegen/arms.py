@@ -195,7 +195,7 @@ class Plan:
         Choose the steps: again and again equations with joints that are in no others.
 
         ``left``: groups of equations; ``columns``: joints of each; ``alone``: those whose joints
-        have levers that never vanish; ``rolling``: rows of spherical joints, as of ``Cut.rolling``.
+        have levers that never vanish; ``rolling``: rows of spherical joints, by ``Cut.rolling``.
         """
         def own(group):
             """Return the joints that a group of equations can eliminate."""
