@@ -372,9 +372,7 @@ class Equations:
         keys = self._beside(joints, rows)
         arm = _Inverse.of(*self._columns(joints, rows), len(keys))
         start = arm.taken([self.right(row) for row in rows])
-        moved = {key: arm.taken([self.entry(row, key) for row in rows]) for key in keys}
-        if len(joints) > len(rows):
-            moved[_free(rows)] = negate(*arm.across)
+        moved = arm.moved({key: [self.entry(row, key) for row in rows] for key in keys}, rows)
         return {joint: _Motion(start[n], {key: column[n] for key, column in moved.items()},
                                dict(zip(rows, arm.rows[n]))) for n, joint in enumerate(joints)}
 
@@ -421,9 +419,8 @@ class Equations:
             # At the tip motions that act there by few numbers do so on its apparent inertia.
             few = {} if spare or _symbols(sum(levers.values(), [])) >= len(joints) * len(
                 levers) else {key: one for key, one in levers.items() if key not in coupled}
-            moved = {key: arm.taken(column) for key, column in levers.items() if key not in few}
-            if spare:
-                moved[_free(rows)] = negate(*arm.across)
+            moved = arm.moved(
+                {key: column for key, column in levers.items() if key not in few}, rows)
             start = arm.taken(given)
             rest, pushed = self._put_in(moved, start, mass, coupled, force)
             if few:
@@ -553,6 +550,13 @@ class _Inverse(NamedTuple):
         if self.often:
             return times(self.rows, column)
         return scale(times(self.cofactors, column), 1.0 / self.size)
+
+    def moved(self, levers, rows):
+        """Return how keys with ``levers`` in equations, and the motion left, move the joints."""
+        found = {key: self.taken(column) for key, column in levers.items()}
+        if len(self.rows) > len(rows):
+            found[_free(rows)] = negate(*self.across)
+        return found
 
 
 class AlwaysSingularError(ValueError):

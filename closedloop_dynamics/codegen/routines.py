@@ -200,7 +200,8 @@ class MechanismTrace:
         # What the arrays hold, of a mechanism in space or in the plane.
         self.arrays = space if space.is_spatial(model) else plane
         self.recursion = self.recursion_of(self.arrays.bodies(model, self.model.body))
-        self.with_arms = with_arms and arms.Plan.of(self.recursion, model) is not None
+        self.plan = arms.Plan.of(self.recursion, model) if with_arms else None
+        self.with_arms = self.plan is not None
         self.clusters = clusters.clusters(self.recursion, model) if with_arms else None
         self.by = by
 
@@ -242,7 +243,7 @@ class MechanismTrace:
         self.by_arms = False
         if which in (EVALUATION, MOTION, ACCELERATION, CORRECTION) and (
                 self.method() in IN_JOINTS):
-            if self.by_arms and self.arrays is space and self._has_many_arms():
+            if self.by_arms and self.arrays is space and not self._has_few_arms():
                 # Equal arms are to take equal operations.
                 self.recursion = self.recursion_of(
                     space.bodies(self.constant, self.model.body, arms=True))
@@ -291,7 +292,7 @@ class MechanismTrace:
         method = self.method()
         self.recursion.apart = self.arrays is space and method in IN_JOINTS
         if self.recursion.apart and method is arms:
-            self.recursion.free = arms.Plan.of(self.recursion, self.constant).free(self.recursion)
+            self.recursion.free = self.plan.free(self.recursion)
         self.recursion.outward(self.model, self.q, self.qd, self.work)
 
     def outward(self):
@@ -362,17 +363,16 @@ class MechanismTrace:
         if self.by is None:
             ways = (arms,) if self.with_arms else ()
             ways += () if self.clusters is None else (clusters,)
-            if not (self.with_arms and self._has_many_arms()):
+            if not self.with_arms or self._has_few_arms():
                 ways += self._by_multipliers()
             self.by = shorter(self.constant, ways)
         plans = [one.plan for one in self.clusters if one.plan] if self.by is clusters else [
-            arms.Plan.of(self.recursion, self.constant)] if self.by is arms else []
+            self.plan] if self.by is arms else []
         self.by_arms = any(plan.steps_aside for plan in plans)
         return self.by
 
-    def _has_many_arms(self):
-        plan = arms.Plan.of(self.recursion, self.constant)
-        return plan is None or len(plan.steps) > FEW_ARMS
+    def _has_few_arms(self):
+        return self.with_arms and len(self.plan.steps) <= FEW_ARMS
 
     def embeds(self):
         """Return whether loops close on bodies: they are eliminated there."""
